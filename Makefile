@@ -1,0 +1,48 @@
+# Everything runs in .venv, which is made once and only again when a requirement changes.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test slow lint format types bench wheel clean
+
+help:  ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /: /'
+
+$(READY): pyproject.toml requirements.txt requirements-dev.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "takeapart needs Python 3.11 or newer; try: make PYTHON=python3.11")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements-dev.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $(READY)
+
+demo: $(READY)  ## plan the disassembly of a shipped assembly; writes out/demo
+	$(BIN)/takeapart demo --out out/demo
+
+test: $(READY)  ## the quick tests
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow'
+
+slow: $(READY)  ## the slow tests
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
+
+lint: $(READY)  ## style and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(READY)  ## put the sources into the project's format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+types: $(READY)  ## type check of sources and tests
+	$(BIN)/mypy
+
+bench: $(READY)  ## the figures of docs/benchmarks.md
+	$(BIN)/python -m takeapart.benchmarks
+
+wheel: $(READY)  ## dist/*.whl
+	$(BIN)/python -m build --no-isolation --outdir dist .
+
+clean:  ## remove what the other targets made
+	rm -rf $(VENV) dist build out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,5 @@
+"""``python -m takeapart`` is the same as ``takeapart``."""
+
+from takeapart.cli import main
+
+main()

@@ -1,0 +1,89 @@
+"""The command line. Every command stands in a module of its own, ``cli_*.py``; what they share is in `cli_output`.
+
+Exit codes: 0 done, 2 broken input or misuse, 3 no feasible order, 4 a plan did not pass its verification, 130 stopped
+by Ctrl-C before there was anything to keep. Whatever is wrong is told in one line on standard error.
+
+Nothing heavy is imported before a command runs, so that ``takeapart --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+import takeapart
+from takeapart.cli_demo import demo
+from takeapart.cli_generate import generate
+from takeapart.cli_inspect import explain, show
+from takeapart.cli_output import EXIT_ERROR, EXIT_INTERRUPTED
+from takeapart.cli_plan import plan
+from takeapart.cli_verify import assemble, verify
+from takeapart.errors import TakeapartError
+
+
+class CommandLine(click.Group):
+    """A group of commands that ends every failure with one line and an exit code."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Runs a command and leaves the process with its exit code."""
+        try:
+            code = super().main(args, prog_name or "takeapart", complete_var, standalone_mode=False, **extra)
+        except click.Abort:  # click makes this of Ctrl-C
+            _complain("interrupted; nothing was written that is not complete")
+            code = EXIT_INTERRUPTED
+        except click.UsageError as error:
+            command = error.ctx.command_path if error.ctx is not None else "takeapart"
+            _complain(f"{error.format_message().rstrip('.')} (see: {command} --help)")
+            code = error.exit_code
+        except click.ClickException as error:
+            _complain(error.format_message())
+            code = error.exit_code
+        except TakeapartError as error:
+            _complain(str(error))
+            code = EXIT_ERROR
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """In the order in which they are met, not by the alphabet."""
+        return list(self.commands)
+
+
+def _complain(message: str) -> None:
+    click.echo(f"error: {' '.join(message.split())}", err=True)
+
+
+@click.group(
+    cls=CommandLine,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Exit codes: 0 done; 2 broken input or misuse; 3 no feasible order; 4 a plan did not pass its verification; "
+    "130 stopped by Ctrl-C before there was anything to keep.",
+)
+@click.version_option(takeapart.__version__, prog_name="takeapart")
+@click.pass_context
+def main(context: click.Context) -> None:
+    r"""Plan how a robot builds a product by planning how it takes the product apart.
+
+    \b
+    A first look:      takeapart demo
+    Your own product:  takeapart plan product.json --workcell cell.toml
+                       takeapart show product.plan.json
+                       takeapart verify product.plan.json --assembly product.json --workcell cell.toml
+    No plan? Why:      takeapart explain product.json
+    """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+
+
+for _command in (demo, generate, plan, show, explain, assemble, verify):
+    main.add_command(_command)

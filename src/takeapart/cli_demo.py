@@ -1,0 +1,87 @@
+"""``takeapart demo``: a shipped assembly, planned and verified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from takeapart.cli_output import (
+    EXIT_UNVERIFIED,
+    FILE,
+    json_option,
+    make_folder,
+    note,
+    print_json,
+    progress_bar,
+    require_output,
+    seed_option,
+)
+from takeapart.cli_plan import SEARCHES, make_plan, options_of, plan_summary, print_plan, save_or_explain
+from takeapart.cli_verify import print_verdict
+from takeapart.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from takeapart.assembly import Assembly
+    from takeapart.plan import Plan
+    from takeapart.verification import VerificationReport
+    from takeapart.workcell import Workcell
+
+DEMO_ASSEMBLY = "single/01.json"
+DEMO_WORKCELL = "panda"
+
+
+@click.command(short_help="Plan and verify a shipped assembly.")
+@click.option(
+    "--out", type=FILE, default=Path("out/demo"), show_default=True, help="Folder of plan.json; made if needed."
+)
+@click.option(
+    "--search", type=click.Choice(SEARCHES), default="exact", show_default=True, help="As of the command plan."
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0, min_open=True),
+    default=40.0,
+    show_default=True,
+    help="Time limit of the search; the best plan so far is kept.",
+)
+@seed_option
+@json_option
+def demo(out: Path, search: str, seconds: float, seed: int, as_json: bool) -> None:
+    """Plan the disassembly of a shipped assembly of 21 aluminium profiles with a Franka Panda.
+
+    Writes plan.json and prints the order with the length of the gripper's path for each part, the total, and how far
+    it can be from the best. The plan is then verified independently if MuJoCo is installed.
+    """
+    from takeapart.files import data_path, load_assembly, load_workcell
+
+    assembly, workcell = load_assembly(data_path(DEMO_ASSEMBLY)), load_workcell(DEMO_WORKCELL)
+    make_folder(out)
+    file = out / "plan.json"
+    require_output(file)
+    made, interrupted = make_plan(assembly, workcell, options_of(search, seed, seconds=seconds))
+    plan = save_or_explain(made, interrupted, file, as_json)
+    if not as_json:
+        print_plan(plan)
+        click.echo(f"written to           {file}")
+    outcome = _verified(plan, assembly, workcell)
+    if as_json:
+        verified = None if outcome is None else outcome.passed
+        summary = plan_summary(plan)
+        print_json({"feasible": True, "file": str(file), "interrupted": interrupted, **summary, "verified": verified})
+    elif outcome is not None:
+        print_verdict(outcome)
+    if outcome is not None and not outcome.passed:
+        raise click.exceptions.Exit(EXIT_UNVERIFIED)
+
+
+def _verified(plan: Plan, assembly: Assembly, workcell: Workcell) -> VerificationReport | None:
+    """What the verification says; None, with a note on how to install it, without MuJoCo."""
+    try:
+        from takeapart.verification import verify_plan
+    except MissingExtraError as missing:
+        note(f"not verified: {missing}")
+        return None
+    with progress_bar(f"verifying {assembly.name}"):
+        return verify_plan(plan, assembly, workcell)

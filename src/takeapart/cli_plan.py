@@ -1,0 +1,261 @@
+"""``takeapart plan``: from an assembly and a workcell to a plan file."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from takeapart.cli_compile import compile_first
+from takeapart.cli_output import (
+    EXIT_INFEASIBLE,
+    EXIT_INTERRUPTED,
+    FILE,
+    json_option,
+    metres,
+    note,
+    print_json,
+    print_table,
+    progress_bar,
+    require_output,
+    search_listener,
+    seed_option,
+    workcell_option,
+)
+
+if TYPE_CHECKING:
+    from takeapart.assembly import Assembly
+    from takeapart.plan import Plan
+    from takeapart.planning import Infeasible, PlanningOptions
+    from takeapart.workcell import Workcell
+
+SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapart.planning.SEARCHES, without its imports
+
+
+@click.command(
+    short_help="Plan the disassembly of an assembly.",
+    epilog="Example: takeapart plan product.json --search mcts --episodes 20 --seed 1 --out product.plan.json",
+)
+@click.argument("assembly", type=FILE)
+@workcell_option
+@click.option(
+    "--search",
+    type=click.Choice(SEARCHES),
+    default="exact",
+    show_default=True,
+    help="exact: best order, with a bound. mcts: Monte Carlo tree search as in the paper. beam: the best few states of "
+    "each size. greedy: always the shortest next removal. restarts: best of many random orders. random: one of them.",
+)
+@seed_option
+@click.option(
+    "--episodes",
+    type=click.IntRange(1),
+    help="Stop after so many episodes of mcts, random orders of restarts, rounds of exact.  [default: no limit]",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0, min_open=True),
+    help="Stop after this time and keep the best plan so far.  [default: no limit]",
+)
+@click.option(
+    "--queries",
+    type=click.IntRange(1),
+    help="Stop after so many removal queries (best removal of one part in one state).  [default: no limit]",
+)
+@click.option(
+    "--memory",
+    type=click.Choice(["library", "paper"]),
+    help="mcts only. library: no removal is planned twice. paper: planned afresh in every simulation.  "
+    "[default: library]",
+)
+@click.option(
+    "--attempts",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="How often a removal is planned; the shortest is kept. The paper's mcts has 4.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 256),
+    help="exact only. Threads that plan removals; the plan does not depend on it.  [default: 1]",
+)
+@click.option(
+    "--out", type=FILE, help="The plan file.  [default: <name of the assembly file>.plan.json in the current folder]"
+)
+@json_option
+def plan(
+    assembly: Path,
+    workcell: str,
+    search: str,
+    seed: int,
+    episodes: int | None,
+    seconds: float | None,
+    queries: int | None,
+    memory: str | None,
+    attempts: int,
+    workers: int | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
+
+    Writes a plan file and prints the order with the length of the gripper's path for each part. Ctrl-C ends the search
+    and keeps the best plan so far. Where no order is feasible, the parts that are stuck are named, with the stage at
+    which planning their removal ended and the parts that block them (exit code 3); nothing is written then.
+    """
+    from takeapart.files import load_assembly, load_workcell
+
+    if memory is not None and search != "mcts":
+        raise click.UsageError(f"--memory goes with --search mcts only, not with {search}")
+    if workers is not None and search != "exact":
+        raise click.UsageError(f"--workers goes with --search exact only, not with {search}")
+    out = out or Path(f"{assembly.stem}.plan.json")
+    product, cell = load_assembly(assembly), load_workcell(workcell)
+    require_output(out, assembly, Path(workcell))
+    options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1)
+    made, interrupted = make_plan(product, cell, options)
+    saved = save_or_explain(made, interrupted, out, as_json)
+    if as_json:
+        print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
+        return
+    print_plan(saved)
+    click.echo(f"written to           {out}")
+
+
+def options_of(
+    search: Any,
+    seed: int,
+    episodes: int | None = None,
+    seconds: float | None = None,
+    queries: int | None = None,
+    memory: Any = "library",
+    attempts: int = 1,
+    workers: int = 1,
+) -> PlanningOptions:
+    """The command's options as those of the library."""
+    from takeapart.planning import PlanningOptions
+    from takeapart.search.result import Budget
+
+    options = PlanningOptions(
+        search=search, seed=seed, budget=Budget(episodes or math.inf, seconds or math.inf, queries or math.inf)
+    )
+    return replace(
+        options,
+        mcts=replace(options.mcts, memory=memory, attempts=attempts),
+        exact=replace(options.exact, attempts=attempts, workers=workers),
+        beam=replace(options.beam, attempts=attempts),
+        order=replace(options.order, attempts=attempts),
+        restarts=replace(options.restarts, order=replace(options.restarts.order, attempts=attempts)),
+    )
+
+
+def make_plan(assembly: Assembly, workcell: Workcell, options: PlanningOptions) -> tuple[Plan | Infeasible, bool]:
+    """Plans with a progress bar, after the kernels are compiled.
+
+    Returns:
+        the plan or why there is none, and whether Ctrl-C ended the search.
+
+    Raises:
+        InputError: a part floats, or the robot's files are missing.
+    """
+    from takeapart.planning import build_problem, plan_of, search
+    from takeapart.stability import require_support
+
+    require_support(assembly)  # before a minute of compiling
+    compile_first(workcell)
+    with progress_bar(f"planning {assembly.name}, {options.search}") as update:
+        problem = build_problem(assembly, workcell, options)
+        started = time.monotonic()
+        result = search(problem, options, listen=search_listener(update, options.budget))
+        return plan_of(problem, result, options, time.monotonic() - started), result.interrupted
+
+
+def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:
+    """Writes a plan, or says why there is none and ends the command."""
+    from takeapart.files import save_plan
+    from takeapart.plan import Plan
+
+    if not isinstance(made, Plan):
+        if as_json:
+            print_json(_infeasible_document(made, interrupted))
+        note("interrupted before any plan was found; nothing was written" if interrupted else str(made))
+        raise click.exceptions.Exit(EXIT_INTERRUPTED if interrupted else EXIT_INFEASIBLE)
+    save_plan(made, out)
+    if interrupted:
+        note(f"interrupted; the best plan so far was written to {out}")
+    return made
+
+
+def _infeasible_document(made: Infeasible, interrupted: bool) -> dict[str, object]:
+    return {
+        "feasible": False,
+        "interrupted": interrupted,
+        "proved": made.proved,
+        "remaining": list(made.remaining),
+        "hindrances": [{"part": h.part, "stage": h.stage, "blamed": list(h.blamed)} for h in made.hindrances],
+    }
+
+
+def gap(length: float, bound: float | None) -> float | None:
+    """(length - bound) / bound; None where there is no bound."""
+    return (length - bound) / bound if bound else None
+
+
+def plan_summary(plan: Plan) -> dict[str, object]:
+    """What a plan says, without its paths."""
+    return {
+        "assembly": plan.assembly,
+        "workcell": plan.workcell,
+        "direction": plan.direction,
+        "order": [{"part": step.part, "length": step.length} for step in plan.steps],
+        "total_length": plan.total_length,
+        "straight_line_bound": plan.straight_line_bound,
+        "proved_gap": gap(plan.total_length, plan.straight_line_bound),
+        "sequence_bound": plan.sequence_bound,
+        "sequence_gap": gap(plan.total_length, plan.sequence_bound),
+        "counts": plan.counts,
+        "seconds": plan.seconds,
+        "seed": plan.seed,
+        "search": plan.search,
+    }
+
+
+def print_plan(plan: Plan, sizes: dict[str, str] | None = None) -> None:
+    """The order of a plan with the gripper path of every part, and the totals.
+
+    Args:
+        plan: what is printed.
+        sizes: of the parts by their names, if the assembly is known.
+    """
+    columns = [">step", "part", *(["size, mm"] if sizes else []), ">gripper path", ">waypoints"]
+    rows = [
+        [
+            str(number),
+            step.part,
+            *([sizes.get(step.part, "?")] if sizes else []),
+            metres(step.length),
+            str(len(step.joint_path)),
+        ]
+        for number, step in enumerate(plan.steps, 1)
+    ]
+    print_table(f"{plan.direction} of {plan.assembly} in workcell {plan.workcell}", columns, rows)
+    click.echo(f"\ntotal gripper path   {metres(plan.total_length)}")
+    click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{_gap_text(plan, plan.straight_line_bound)}")
+    if plan.sequence_bound is not None:
+        click.echo(f"sequence bound       {metres(plan.sequence_bound)}{_gap_text(plan, plan.sequence_bound)}")
+    counts = plan.counts
+    click.echo(
+        f"search               {plan.search.get('name', 'unknown')}, seed {plan.seed}: {plan.seconds:.1f} s, "
+        f"{counts.get('removal_queries', 0)} removal queries, {counts.get('motion_plans', 0)} motion plans"
+    )
+
+
+def _gap_text(plan: Plan, bound: float) -> str:
+    share = gap(plan.total_length, bound)
+    kind = "sequence gap" if bound == plan.sequence_bound else "proved gap"
+    return "" if share is None else f"  ({kind} {share:.1%})"

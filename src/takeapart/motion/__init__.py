@@ -1,0 +1,1 @@
+"""Paths between configurations: RRT-Connect, and the shortening of the tool path."""

@@ -1,0 +1,223 @@
+"""Tool paths of one or two straight legs, shortest first: most removals need no more, and no search is cheaper."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from takeapart.motion.edges import MAXIMUM_ROWS, Scene, is_free, project_to_point, tool_edge
+from takeapart.motion.rrt import next_random
+from takeapart.robot.arrays import Flags, Floats, WorldArrays
+from takeapart.robot.kernels import ball_near_world, forward, mark_ball
+
+
+@njit(cache=True, nogil=True)
+def mark_line(world: WorldArrays, a: Floats, b: Floats, radius: float, hits: Flags) -> None:
+    """Marks in `hits` (parts + 1,) every owner that a ball moving straight from a to b (3,), m, touches at its samples."""
+    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    count = max(1, int(math.ceil(length / max(0.5 * radius, 0.004))))
+    for k in range(count + 1):
+        s = k / count
+        mark_ball(world, a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2]), radius, hits)
+
+
+@njit(cache=True, nogil=True)
+def line_free(world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float) -> bool:
+    """Whether a ball can move straight from a to b (3,), m, as far as its samples tell."""
+    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    count = max(1, int(math.ceil(length / (2.0 * radius))))
+    for k in range(count + 1):
+        s = k / count
+        x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+        if ball_near_world(world, present, x, y, z, radius):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def nearest_free(scene: Scene, lifted: Floats, goals: Floats, most: int) -> Floats:
+    """The free goal configurations (B, n) nearest in joint space to any of the lifted ones (A, n), nearest first."""
+    n = goals.shape[1]
+    distance = np.empty(len(goals))
+    for g in range(len(goals)):
+        distance[g] = math.inf
+        for s in range(len(lifted)):
+            total = 0.0
+            for j in range(n):
+                d = goals[g, j] - lifted[s, j]
+                total += d * d
+            distance[g] = min(distance[g], total)
+    found = np.empty((most, n))
+    count = 0
+    for g in np.argsort(distance):
+        if count == most:
+            break
+        if is_free(scene, goals[g]):
+            found[count] = goals[g]
+            count += 1
+    return found[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def near_pairs(lifted: Floats, goals: Floats, each: int) -> Floats:
+    """Pairs (P, 2) of a lifted and a goal configuration, `each` goals per lifted one.
+
+    First come all lifted configurations with their nearest goal in joint space, the nearest pair first, then all with
+    their second nearest, and so on: neighbours on the same branch of the arm mostly succeed or fail together.
+    """
+    n = lifted.shape[1]
+    each = min(each, len(goals))
+    distance = np.empty((each, len(lifted)))
+    goal_of = np.empty((each, len(lifted)), np.int64)
+    apart = np.empty(len(goals))
+    for s in range(len(lifted)):
+        for g in range(len(goals)):
+            total = 0.0
+            for j in range(n):
+                d = goals[g, j] - lifted[s, j]
+                total += d * d
+            apart[g] = total
+        for k in range(each):
+            nearest = int(np.argmin(apart))
+            goal_of[k, s], distance[k, s] = nearest, apart[nearest]
+            apart[nearest] = math.inf
+    pairs = np.empty((each * len(lifted), 2), np.int64)
+    for k in range(each):
+        for place, s in enumerate(np.argsort(distance[k])):
+            pairs[k * len(lifted) + place, 0], pairs[k * len(lifted) + place, 1] = s, goal_of[k, s]
+    return pairs
+
+
+@njit(cache=True, nogil=True)
+def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing: float, step: float) -> Floats:
+    """Rows (M, n) of a tool-straight path from a lifted configuration (A, n) to a goal one (G, n); (0, n) if none is found.
+
+    Args:
+        goals: configurations, free or not.
+        attempts: pairs tried at most, in the order of `near_pairs`.
+        spacing, step: see `tool_edge`.
+    """
+    n = lifted.shape[1]
+    rows = np.empty((MAXIMUM_ROWS, n))
+    tried = 0
+    for pair in near_pairs(lifted, goals, 4):
+        if tried == attempts:
+            break
+        if not is_free(scene, goals[pair[1]]):
+            continue
+        tried += 1
+        count = tool_edge(scene, lifted[pair[0]], goals[pair[1]], spacing, step, rows)
+        if count:
+            path = np.empty((count + 1, n))
+            path[0] = lifted[pair[0]]
+            path[1:] = rows[:count]
+            return path
+    return np.empty((0, n))
+
+
+@njit(cache=True, nogil=True)
+def bends(
+    world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float, samples: int, longest: float, seed: int
+) -> Floats:
+    """Points (K, 4) at which a path of two straight legs from a to b can bend: x, y, z and its length, m; shortest first.
+
+    Points are drawn from the ellipsoid in which they keep the path short enough (the informed set of Gammell et al.,
+    IROS 2014); those are dropped whose legs a small ball around the tool cannot pass.
+
+    Args:
+        radius: of a ball that is always inside the held part, m.
+        samples: points drawn.
+        longest: length of the path at most, m.
+        seed: of this call's own random numbers.
+    """
+    straight = math.sqrt(np.sum((b - a) ** 2))
+    longest = min(longest, 2.5 * straight + 0.3)
+    if longest <= straight or straight < 1e-6:
+        return np.empty((0, 4))
+    state = np.array([seed], dtype=np.uint64)
+    along = (b - a) / straight
+    helper = np.array([0.0, 0.0, 1.0]) if abs(along[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    side = np.cross(along, helper)
+    side /= math.sqrt(np.sum(side**2))
+    other = np.cross(along, side)
+    middle = 0.5 * (a + b)
+    found = np.empty((samples, 4))
+    kept = 0
+    for _ in range(samples):
+        # Lengths are drawn evenly: the short ones, few in volume, are the ones that matter.
+        total = straight + (longest - straight) * next_random(state)
+        across = 0.5 * math.sqrt(max(total * total - straight * straight, 0.0))
+        cosine = 2.0 * next_random(state) - 1.0
+        turn = 2.0 * math.pi * next_random(state)
+        sine = math.sqrt(1.0 - cosine * cosine)
+        point = middle + 0.5 * total * cosine * along + across * sine * (math.cos(turn) * side + math.sin(turn) * other)
+        if line_free(world, present, a, point, radius) and line_free(world, present, point, b, radius):
+            found[kept, :3] = point
+            found[kept, 3] = total
+            kept += 1
+    return found[:kept][np.argsort(found[:kept, 3])]
+
+
+@njit(cache=True, nogil=True)
+def two_legs(
+    scene: Scene,
+    lifted: Floats,
+    goals: Floats,
+    points: Floats,
+    attempts: int,
+    shorter_than: float,
+    spacing: float,
+    step: float,
+    seed: int,
+) -> Floats:
+    """Rows (M, n) of the shortest path of two tool-straight legs that is found; (0, n) if none is.
+
+    Args:
+        lifted, goals: free configurations (A, n) and (G, n).
+        points: (K, 4) where the path may bend, shortest first, see `bends`; tried in this order, so the first that
+            succeeds is the best of them.
+        attempts: tries with the arm at most.
+        shorter_than: length of the path at most, m.
+        spacing, step: see `tool_edge`.
+        seed: of this call's own random numbers.
+    """
+    n = lifted.shape[1]
+    nothing = np.empty((0, n))
+    if len(goals) == 0:
+        return nothing
+    forward(scene.arm, lifted[0], scene.work)
+    a = scene.work.p_tool.copy()
+    state = np.array([seed], dtype=np.uint64)
+    pairs = near_pairs(lifted, goals, 3)
+    first, second = np.empty((MAXIMUM_ROWS, n)), np.empty((MAXIMUM_ROWS, n))
+    via = np.empty(n)
+    tried = 0
+    for k in range(len(points)):
+        if points[k, 3] >= shorter_than:
+            break
+        # A few of the nearest pairs for every point, others for other points.
+        for turn in range(3):
+            if tried == attempts:
+                return nothing
+            pick = int(next_random(state) * len(pairs))
+            start, goal = lifted[pairs[pick, 0]], goals[pairs[pick, 1]]
+            share = math.sqrt(np.sum((points[k, :3] - a) ** 2)) / points[k, 3]
+            for j in range(n):
+                via[j] = start[j] + share * (goal[j] - start[j])
+            tried += 1
+            if not project_to_point(scene, via, points[k, 0], points[k, 1], points[k, 2]) or not is_free(scene, via):
+                continue
+            count = tool_edge(scene, start, via, spacing, step, first)
+            if count == 0:
+                continue
+            more = tool_edge(scene, via, goal, spacing, step, second)
+            if more == 0 or 1 + count + more > MAXIMUM_ROWS:
+                continue
+            path = np.empty((1 + count + more, n))
+            path[0] = start
+            path[1 : 1 + count] = first[:count]
+            path[1 + count :] = second[:more]
+            return path
+    return nothing

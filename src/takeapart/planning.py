@@ -1,0 +1,230 @@
+"""From an assembly and a workcell to a plan: the one call that most users need."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import time
+from dataclasses import asdict, dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+import takeapart
+from takeapart.assembly import Assembly
+from takeapart.errors import UnknownNameError
+from takeapart.plan import Plan, PlanStep
+from takeapart.problem import AssemblyProblem, Guide
+from takeapart.removal.planner import RemovalOptions, RemovalPlanner
+from takeapart.removal.result import Blocked, Removal, Stage
+from takeapart.search.baselines import BeamOptions, OrderOptions, RestartOptions, beam, greedy, random_order, random_restarts
+from takeapart.search.exact import ExactOptions, exact
+from takeapart.search.mcts import MctsOptions, mcts
+from takeapart.search.result import Budget, ProgressListener, SearchResult
+from takeapart.serialization import assembly_hash, workcell_hash
+from takeapart.stability import ConnectorStability, require_support
+from takeapart.workcell import Workcell
+
+SearchName = Literal["exact", "mcts", "beam", "greedy", "restarts", "random"]
+SEARCHES: tuple[SearchName, ...] = get_args(SearchName)
+SHAPING_PACKAGES = ("numpy", "numba", "ssik", "example-robot-data")
+
+
+@dataclass(frozen=True)
+class PlanningOptions:
+    """How a plan is made.
+
+    Args:
+        search: "exact" (best order with a bound), "mcts" (Sec. V-B), "beam", "greedy" (shortest next removal), "restarts"
+            (random orders, the best is kept) or "random" (one random order).
+        seed: of all random choices.
+        budget: when to stop searching.
+        removal: options of the removal planner.
+        mcts, exact, beam, order, restarts: options of the searches.
+    """
+
+    search: SearchName = "exact"
+    seed: int = 0
+    budget: Budget = field(default_factory=Budget)
+    removal: RemovalOptions = field(default_factory=RemovalOptions)
+    mcts: MctsOptions = field(default_factory=lambda: MctsOptions(attempts=1))
+    exact: ExactOptions = field(default_factory=ExactOptions)
+    beam: BeamOptions = field(default_factory=BeamOptions)
+    order: OrderOptions = field(default_factory=lambda: OrderOptions(monotone=True))
+    restarts: RestartOptions = field(default_factory=lambda: RestartOptions(OrderOptions(monotone=True)))
+
+    def __post_init__(self) -> None:
+        if self.search not in SEARCHES:
+            raise UnknownNameError("search", self.search, list(SEARCHES))
+
+
+@dataclass(frozen=True)
+class Hindrance:
+    """A part that cannot leave, in words for people.
+
+    Args:
+        part: its name.
+        stage: where planning its removal ended.
+        blamed: names of the parts in the way; empty where only fixed parts, environment or reach are.
+    """
+
+    part: str
+    stage: Stage
+    blamed: tuple[str, ...]
+
+    def __str__(self) -> str:
+        reasons = {
+            "stability": "others would fall",
+            "lift": "cannot be lifted",
+            "grasp": "cannot be grasped without a collision",
+            "ik": "is out of the arm's reach",
+            "path": "no path to the goal was found",
+        }
+        by = f", blocked by {', '.join(self.blamed)}" if self.blamed else ""
+        return f"{self.part}: {reasons[self.stage]} (stage {self.stage}{by})"
+
+
+@dataclass(frozen=True)
+class Infeasible:
+    """No order was found: the parts left where the search ended deepest, and why each cannot leave.
+
+    Args:
+        remaining: names of the parts left.
+        hindrances: per part.
+        proved: whether every sequence was excluded for the removals the planner finds (else the budget ran out first).
+    """
+
+    remaining: tuple[str, ...]
+    hindrances: tuple[Hindrance, ...]
+    proved: bool
+
+    def __str__(self) -> str:
+        if not self.hindrances:
+            return "no feasible order found within the budget"
+        first = "no feasible order" if self.proved else "no feasible order found"
+        return f"{first}; with {len(self.remaining)} parts left: " + "; ".join(str(h) for h in self.hindrances)
+
+
+def plan(
+    assembly: Assembly,
+    workcell: Workcell,
+    options: PlanningOptions | None = None,
+    guide: Guide | None = None,
+    listen: ProgressListener | None = None,
+) -> Plan | Infeasible:
+    """Plans the disassembly of an assembly in a workcell.
+
+    Args:
+        assembly: the product.
+        workcell: arm, goal and obstacles.
+        options: search, seed and budget; by default exact search until the best order is proved.
+        guide: a learned ranking of parts, for the searches that take one.
+        listen: is told about progress.
+
+    Returns:
+        The shortest plan found within the budget (also after Ctrl-C), or why there is none.
+
+    Raises:
+        InputError: a part floats, or the robot's files are missing.
+    """
+    options = options or PlanningOptions()
+    problem = build_problem(assembly, workcell, options)
+    started = time.monotonic()
+    result = search(problem, options, guide, listen)
+    return plan_of(problem, result, options, time.monotonic() - started)
+
+
+def build_problem(assembly: Assembly, workcell: Workcell, options: PlanningOptions | None = None) -> AssemblyProblem:
+    """The decision process that the searches work on.
+
+    Raises:
+        InputError: a part floats, or the robot's files are missing.
+    """
+    options = options or PlanningOptions()
+    require_support(assembly)
+    planner = RemovalPlanner(assembly, workcell, options.removal)
+    return AssemblyProblem(planner, ConnectorStability(assembly), options.seed)
+
+
+def search(
+    problem: AssemblyProblem,
+    options: PlanningOptions,
+    guide: Guide | None = None,
+    listen: ProgressListener | None = None,
+) -> SearchResult:
+    """Runs the search that the options name."""
+    rng = np.random.default_rng([options.seed, 1])
+    if options.search == "exact":
+        return exact(problem, options.exact, options.budget, listen, guide)
+    if options.search == "mcts":
+        return mcts(problem, options.mcts, options.budget, rng, guide, listen)
+    if options.search == "beam":
+        return beam(problem, options.beam, options.budget, rng, listen, guide=guide)
+    if options.search == "greedy":
+        return greedy(problem, options.order, options.budget, rng, listen)
+    if options.search == "restarts":
+        return random_restarts(problem, options.restarts, options.budget, rng, listen)
+    return random_order(problem, options.order, options.budget, rng, listen)
+
+
+def plan_of(problem: AssemblyProblem, result: SearchResult, options: PlanningOptions, seconds: float) -> Plan | Infeasible:
+    """The result of a search as a plan, or as the reason why there is none."""
+    assembly, workcell = problem.assembly, problem.planner.workcell
+    if not result.removals:
+        return infeasible_of(problem, result)
+    steps = tuple(_step(assembly, removal) for removal in result.removals)
+    bounds = [problem.planner.straight_line_bound(removal.part) for removal in result.removals]
+    statistics = {name: _number(value) for name, value in sorted(result.statistics.items())}
+    return Plan(
+        steps=steps,
+        total_length=math.fsum(step.length for step in steps),
+        straight_line_bound=math.fsum(bounds),
+        sequence_bound=result.sequence_bound,
+        counts=asdict(problem.counts),
+        seconds=seconds,
+        seed=options.seed,
+        search={"name": options.search, "statistics": statistics, "interrupted": result.interrupted},
+        hashes={"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)},
+        versions=versions(),
+        assembly=assembly.name,
+        workcell=workcell.name,
+    )
+
+
+def infeasible_of(problem: AssemblyProblem, result: SearchResult) -> Infeasible:
+    """What blocked a search that found no order: the dead end with the fewest parts left."""
+    proved = bool(result.statistics.get("infeasible", 0.0)) or bool(result.statistics.get("explored", 0.0))
+    if not result.refusals:
+        return Infeasible((), (), proved)
+    state, refusals = result.refusals[0]
+    return Infeasible(tuple(problem.assembly.names(state)), explain(problem, state, refusals), proved)
+
+
+def explain(problem: AssemblyProblem, state: int, refusals: tuple[Blocked, ...] = ()) -> tuple[Hindrance, ...]:
+    """Why each part of a state cannot leave; parts that gravity and lifting let go are explained by the refusals."""
+    assembly = problem.assembly
+    answers = {refusal.part: refusal for refusal in refusals}
+    found = []
+    for part in range(len(assembly.parts)):
+        if not state >> part & 1:
+            continue
+        blocked = problem.hindrance(state, part) or answers.get(part)
+        if blocked is not None:
+            names = tuple(assembly.names(blocked.blamed & ~(1 << part)))
+            found.append(Hindrance(assembly.parts[part].name, blocked.stage, names))
+    return tuple(found)
+
+
+def versions() -> dict[str, str]:
+    """Versions of the package and of the libraries that shape a plan."""
+    return {"takeapart": takeapart.__version__} | {name: importlib.metadata.version(name) for name in SHAPING_PACKAGES}
+
+
+def _step(assembly: Assembly, removal: Removal) -> PlanStep:
+    return PlanStep(
+        assembly.parts[removal.part].name, removal.grasp, removal.joint_path, removal.tool_path, removal.length
+    )
+
+
+def _number(value: float) -> float | int:
+    return int(value) if math.isfinite(value) and value == int(value) else value

@@ -1,0 +1,156 @@
+"""The Markov decision process of Sec. V-A.
+
+A state is a mask of parts, an action removes one of them, the reward is minus the length of the removal path.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from takeapart.assembly import Assembly, members
+from takeapart.removal.bounds import EdgeBounds
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.removal.result import Blocked, Counts, Effort, Removal
+from takeapart.stability import Stability
+
+Guide = Callable[[Sequence[int]], Sequence[Mapping[int, float]]]
+"""States -> for each the Q-value (expected sum of rewards, m, negative) of every candidate part."""
+
+
+class Problem(Protocol):
+    """All that a search ever sees. Parts are numbers, states are masks (`int`); the goal is state 0."""
+
+    @property
+    def root(self) -> int:
+        """State with all removable parts."""
+        ...
+
+    @property
+    def counts(self) -> Counts:
+        """Planner calls spent so far."""
+        ...
+
+    def candidates(self, state: int) -> Sequence[int]:
+        """Parts that gravity and lifting let go in this state, ascending; decided by masks alone, costs nothing."""
+        ...
+
+    def upper(self, state: int, part: int) -> float:
+        """Length of the shortest known removal that is valid here, m; infinite if none is known."""
+        ...
+
+    def lower(self, state: int, part: int) -> float:
+        """Bound on the cost of this edge, m; infinite where the part is known to be blocked."""
+        ...
+
+    def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
+        """The removal query: the only dear call; counted."""
+        ...
+
+
+class AssemblyProblem:
+    """The decision process of an assembly in a workcell: gravity, lifting, and the removal planner with its library.
+
+    Answers do not depend on the threads that ask: the random numbers of a query follow from the seed, the edge, and how
+    often it was asked before.
+
+    Args:
+        planner: of the assembly's removals.
+        stability: what gravity lets go.
+        seed: of all random choices of the planner.
+        library: removals and closed edges known before; by default none.
+    """
+
+    def __init__(
+        self, planner: RemovalPlanner, stability: Stability, seed: int = 0, library: EdgeBounds | None = None
+    ) -> None:
+        assembly = planner.assembly
+        self.planner, self.stability, self.seed = planner, stability, seed
+        self.root = assembly.root
+        self.counts: Counts = planner.counts
+        movable = members(self.root)
+        self.hindered_by = [0] * len(assembly.parts)
+        for part in movable:
+            lift = planner.lift_blockers[part]
+            self.hindered_by[part] = (self.root if lift is None else lift) | stability.dependents(part, self.root)
+        bounds = [planner.straight_line_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
+        self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
+        self._asked: dict[tuple[int, int], int] = {}
+        self._effort: dict[tuple[int, int], int] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def assembly(self) -> Assembly:
+        """The product."""
+        return self.planner.assembly
+
+    def candidates(self, state: int) -> list[int]:
+        """Parts that gravity and lifting let go in this state, ascending."""
+        return [part for part in members(state) if not self.hindered_by[part] & state]
+
+    def static_lower(self, part: int) -> float:
+        """Straight-line bound of a part, m; holds for whatever planner."""
+        return self.edge_bounds.static(part)
+
+    def upper(self, state: int, part: int) -> float:
+        """Length of the shortest known removal that is valid here, m; infinite if none is known."""
+        return self.edge_bounds.upper(state, part)
+
+    def lower(self, state: int, part: int) -> float:
+        """Bound on the cost of this edge, m; infinite where the part is known to be blocked."""
+        return self.edge_bounds.lower(state, part)
+
+    def hindrance(self, state: int, part: int) -> Blocked | None:
+        """Why gravity or lifting keep a part in a state; None if they do not."""
+        fallen = self.stability.dependents(part, state)
+        if fallen:
+            return Blocked(part, "stability", fallen)
+        lift = self.planner.lift_blockers[part]
+        if lift is None or lift & state:
+            return Blocked(part, "lift", (lift or 0) & state)
+        return None
+
+    def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
+        """The removal query. What the library answers for certain costs nothing and is not counted.
+
+        Returns:
+            The shortest removal known after asking, if it is shorter than `effort.shorter_than`, else why there is none.
+        """
+        hindrance = self.hindrance(state, part)
+        if hindrance is not None:
+            return hindrance
+        if effort.fresh:
+            return self._query(state, part, effort.shorter_than, effort.attempts)
+        known = self.edge_bounds.best(state, part)
+        edge = (state, part)
+        if self.edge_bounds.is_closed(state, part) and effort.attempts <= self._effort.get(edge, 1):
+            refusal = self.edge_bounds.refusal(state, part)
+        else:
+            limit = min(effort.shorter_than, known.length if known else math.inf)
+            found = self._query(state, part, limit, effort.attempts)
+            refusal = None
+            if isinstance(found, Removal):
+                self.edge_bounds.add_removal(found)
+                known = self.edge_bounds.best(state, part)
+            else:
+                refusal = found
+            if known is None or effort.shorter_than >= known.length:
+                self.edge_bounds.close(state, part, refusal if known is None else None)
+                with self._lock:
+                    self._effort[edge] = max(effort.attempts, self._effort.get(edge, 0))
+        if known is not None and known.length < effort.shorter_than:
+            return known
+        return refusal or Blocked(part, "path", 0)
+
+    def _query(self, state: int, part: int, limit: float, attempts: int) -> Removal | Blocked:
+        with self._lock:
+            self.counts.removal_queries += 1
+            turn = self._asked.get((state, part), 0)
+            self._asked[state, part] = turn + 1
+        words = [state >> shift & 0xFFFFFFFF for shift in range(0, max(state.bit_length(), 1), 32)]
+        rng = np.random.default_rng([self.seed, part, turn, *words])
+        return self.planner.plan(part, state, rng=rng, shorter_than=limit, attempts=attempts)

@@ -1,0 +1,71 @@
+"""Straight up: which parts are in the way of a part that is lifted (the first stage of Sec. IV-B)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from takeapart.assembly import Assembly
+from takeapart.geometry import Array, OrientedBox, box_separation
+
+CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
+
+
+def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) -> Array:
+    """Signed separation (W,), m, between a box swept straight up by `height` and boxes at poses T (W, 4, 4).
+
+    The swept box is convex: the Minkowski sum of the box and a vertical segment. The separating axis test is complete
+    with the face normals of both, and the cross products of their edges; the segment adds the vertical edge.
+    """
+    R = box.T_frame_box[:3, :3]
+    up = np.array([0.0, 0.0, 1.0])
+    edges = np.column_stack([R, up]).T  # (4, 3) edge directions of the swept box
+    normals = np.concatenate([R.T, np.cross(up, R.T)])  # its face normals
+    others = np.swapaxes(T[:, :3, :3], 1, 2)  # (W, 3, 3), rows are axes
+    crosses = np.cross(edges[None, :, None, :], others[:, None, :, :]).reshape(len(T), -1, 3)
+    axes = np.concatenate([np.repeat(normals[None], len(T), 0), others, crosses], axis=1)
+    norms = np.linalg.norm(axes, axis=2, keepdims=True)
+    axes = np.where(norms < 1e-6, R[:, 0], axes / np.where(norms < 1e-6, 1.0, norms))
+    center = box.T_frame_box[:3, 3] + up * height / 2
+    gap = np.abs(np.einsum("wij,wj->wi", axes, T[:, :3, 3] - center))
+    reach = np.abs(axes @ R) @ box.half_extents + np.abs(axes[:, :, 2]) * height / 2
+    reach_other = np.einsum("wik,wk->wi", np.abs(axes @ T[:, :3, :3]), half)
+    return np.asarray((gap - reach - reach_other).max(axis=1))
+
+
+def lift_blockers(
+    assembly: Assembly, height: float, clearance: float, obstacles: tuple[OrientedBox, ...]
+) -> list[int | None]:
+    """Per part the state of the parts it would hit when lifted; None if it would hit something that never leaves.
+
+    Args:
+        height: m.
+        clearance: kept at the end of the lift, m; on the way the part may slide along what it touches at the start.
+        obstacles: boxes of the environment, world frame.
+    """
+    owners, boxes = [], []
+    for i, part in enumerate(assembly.parts):
+        for box in assembly.body(i):
+            owners.append(i)
+            boxes.append(box.moved(part.T_world_part))
+    bodies = list(boxes)
+    boxes += obstacles
+    owners += [-1] * len(obstacles)
+    owner = np.array(owners)
+    T = np.array([box.T_frame_box for box in boxes])
+    half = np.array([box.half_extents for box in boxes])
+    found: list[int | None] = []
+    for i, part in enumerate(assembly.parts):
+        hit: set[int] = set()
+        others = np.nonzero(owner != i)[0]
+        for number, box in enumerate(bodies):
+            if owner[number] == i:
+                separation = swept_up_separation(box, height, T[others], half[others])
+                hit.update(owner[others[separation < -CONTACT_TOLERANCE]].tolist())
+                T_lifted = np.repeat(box.T_frame_box[None], len(others), axis=0)
+                T_lifted[:, 2, 3] += height
+                sizes = np.repeat(box.half_extents[None], len(others), axis=0)
+                apart = box_separation(T_lifted, sizes, T[others], half[others])
+                hit.update(owner[others[apart < clearance]].tolist())
+        permanent = part.fixed or any(k < 0 or assembly.parts[k].fixed for k in hit)
+        found.append(None if permanent else sum(1 << k for k in hit))
+    return found

@@ -1,0 +1,1 @@
+"""The arm: kinematics, inverse kinematics, and collision kernels."""

@@ -1,0 +1,90 @@
+"""The flat arrays that the compiled kernels work on. Each is a named tuple, which compiled code can read by field.
+
+Frames: arm link j (1..n) moves with joint j, link 0 is the base, "tool" is the frame between the fingertips. All world
+coordinates are those of the assembly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int32]
+Flags = NDArray[np.uint8]
+
+
+class ArmArrays(NamedTuple):
+    """A serial chain of n revolute joints; every joint turns about the z axis of its own frame."""
+
+    T_world_base: Floats  # (3, 4)
+    T_joint: Floats  # (n, 3, 4) pose of joint j's frame at angle zero in the frame of joint j - 1
+    T_tool: Floats  # (3, 4) tool in the frame of the last joint
+    lower: Floats  # (n,) rad
+    upper: Floats  # (n,) rad
+    sphere_center: Floats  # (S, 3) m, in the frame of the link that carries it
+    sphere_radius: Floats  # (S,) m
+    body_start: Integers  # (B + 1,) spheres of body b are body_start[b] .. body_start[b + 1]
+    body_frame: Integers  # (B,) joint frame that the body moves with; 0 is the base
+    body_center: Floats  # (B, 3) m, a ball around the whole body
+    body_radius: Floats  # (B,) m
+    self_pairs: Integers  # (P, 2) bodies that may touch each other
+    held_bodies: Integers  # (Q,) bodies that what the gripper carries may touch
+
+
+class HeldArrays(NamedTuple):
+    """Boxes that move with the tool: the fingers, and the part they hold. Exact, no cover."""
+
+    center: Floats  # (H, 3) m, tool frame
+    axes: Floats  # (H, 3, 3) rows are the box's axes in the tool frame
+    half: Floats  # (H, 3) m
+    meets_world: Flags  # (H,) whether the box is checked against the world
+    probe_center: Floats  # (C, 3) m, spheres along the boxes for the broad phase, tool frame
+    probe_radius: Floats  # (C,) m
+    probe_box: Integers  # (C,) box that the sphere belongs to
+    group: Integers  # (3,) boxes group[0] .. group[1] are the fingers, group[1] .. group[2] the part
+    group_center: Floats  # (2, 3) m, a ball around each group, tool frame
+    group_radius: Floats  # (2,) m
+
+
+class WorldArrays(NamedTuple):
+    """Boxes that stand still, and a grid that tells which of them are near a point."""
+
+    center: Floats  # (W, 3) m
+    axes: Floats  # (W, 3, 3) rows are the box's axes
+    half: Floats  # (W, 3) m
+    owner: Integers  # (W,) part number; the number of parts stands for everything that never leaves
+    origin: Floats  # (3,) m, corner of the grid
+    cell: float  # m
+    shape: Integers  # (3,) cells along x, y, z
+    row_radius: Floats  # (K,) m, ascending; row k of the grid serves balls of at most this radius
+    start: Integers  # (K, cells + 1) per row: where the entries of a cell start
+    entry: Integers  # boxes near the cells, row after row
+
+
+class Workspace(NamedTuple):
+    """Scratch memory of one thread."""
+
+    R: Floats  # (n + 1, 3, 3) link frames
+    p: Floats  # (n + 1, 3)
+    R_tool: Floats  # (3, 3)
+    p_tool: Floats  # (3,)
+    body: Floats  # (B, 3) centres of the balls around the bodies in the world
+    box_center: Floats  # (H, 3) held boxes in the world
+    box_axes: Floats  # (H, 3, 3)
+
+
+def workspace(arm: ArmArrays, boxes: int) -> Workspace:
+    """Scratch memory for an arm that carries at most `boxes` boxes."""
+    n = len(arm.lower)
+    return Workspace(
+        np.zeros((n + 1, 3, 3)),
+        np.zeros((n + 1, 3)),
+        np.zeros((3, 3)),
+        np.zeros(3),
+        np.zeros((len(arm.body_frame), 3)),
+        np.zeros((boxes, 3)),
+        np.zeros((boxes, 3, 3)),
+    )

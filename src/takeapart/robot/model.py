@@ -1,0 +1,342 @@
+"""The arm as the planner knows it: a serial chain read from URDF, covered by spheres."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from takeapart.errors import InputError
+from takeapart.geometry import Array, OrientedBox, pose_inverse
+from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
+from takeapart.robot.cover import SphereCover, sphere_cover
+from takeapart.robot.kernels import forward
+from takeapart.workcell import RobotDescription, Workcell
+
+BASE_INFLATION, ARM_INFLATION, WRIST_INFLATION, HAND_INFLATION = 0.03, 0.025, 0.02, 0.015  # m
+LARGEST_PROBE = 0.16  # m, edge of the cells in which a load is looked up in the grid
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """Kinematics and collision cover of an arm in its workcell.
+
+    Args:
+        description: where the robot's files are.
+        arm: arrays for the kernels.
+        fingers: (finger link, box in the hand's frame at opening 0, direction (3,) in which it opens).
+        T_flange_tool: (4, 4).
+        inflation: per covered link, how far its spheres reach beyond its mesh, m.
+    """
+
+    description: RobotDescription
+    arm: ArmArrays
+    fingers: tuple[tuple[str, OrientedBox, Array], ...]
+    T_flange_tool: Array
+    inflation: Mapping[str, float]
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.arm.lower)
+
+    @property
+    def T_world_base(self) -> Array:
+        """(4, 4)."""
+        return np.vstack([self.arm.T_world_base, [0, 0, 0, 1]])
+
+    def workspace(self, boxes: int = 64) -> Workspace:
+        """Scratch memory for a load of at most so many boxes, fingers not counted; one for each thread."""
+        return workspace(self.arm, len(self.fingers) + boxes)
+
+    @property
+    def largest_ball(self) -> float:
+        """Radius of the largest ball that the kernels look up in the grid of the world, m."""
+        return max(float(self.arm.sphere_radius.max()), LARGEST_PROBE * 3**0.5 / 2)
+
+    def tool_pose(self, q: Array, work: Workspace | None = None) -> Array:
+        """Pose (4, 4) of the tool in the world at a configuration (n,), rad."""
+        work = work or self.workspace()
+        forward(self.arm, np.asarray(q, dtype=float), work)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = work.R_tool, work.p_tool
+        return T
+
+    def finger_boxes(self, opening: float) -> list[OrientedBox]:
+        """Boxes of the fingers in the tool frame, for an opening between them, m."""
+        T_tool_hand = np.eye(4)
+        T_tool_hand[:3, 3] = -np.asarray(self.description.T_hand_tool)
+        moved = []
+        for _, box, direction in self.fingers:
+            T = box.T_frame_box.copy()
+            T[:3, 3] += direction * opening / 2
+            moved.append(OrientedBox(T_tool_hand @ T, box.half_extents))
+        return moved
+
+    def held(self, opening: float, T_tool_part: Array | None = None, body: Sequence[OrientedBox] = ()) -> HeldArrays:
+        """What the gripper carries: its fingers and the boxes of a part.
+
+        Args:
+            opening: between the fingers, m.
+            T_tool_part: (4, 4) pose of the part in the tool frame.
+            body: the part's boxes in its own frame.
+        """
+        fingers = self.finger_boxes(opening)
+        part = [box.moved(T_tool_part) for box in body] if T_tool_part is not None else []
+        boxes = fingers + part
+        balls = [_ball_around(fingers), _ball_around(part)]
+        probes = [(center, radius, h) for h, box in enumerate(boxes) for center, radius in _probes(box)]
+        return HeldArrays(
+            center=np.array([box.T_frame_box[:3, 3] for box in boxes]),
+            axes=np.ascontiguousarray([box.T_frame_box[:3, :3].T for box in boxes]),
+            half=np.array([box.half_extents for box in boxes]),
+            meets_world=np.ones(len(boxes), dtype=np.uint8),
+            probe_center=np.array([center for center, _, _ in probes]),
+            probe_radius=np.array([radius for _, radius, _ in probes]),
+            probe_box=np.array([h for _, _, h in probes], dtype=np.int32),
+            group=np.array([0, len(fingers), len(boxes)], dtype=np.int32),
+            group_center=np.array([center for center, _ in balls]),
+            group_radius=np.array([radius for _, radius in balls]),
+        )
+
+
+def moved_load(held: HeldArrays, T: Array) -> HeldArrays:
+    """The same load with its part (not its fingers) moved by a pose (4, 4) in the tool frame."""
+    first = held.group[1]
+    R, t = T[:3, :3], T[:3, 3]
+    center, axes, probe, group = held.center.copy(), held.axes.copy(), held.probe_center.copy(), held.group_center.copy()
+    center[first:] = center[first:] @ R.T + t
+    axes[first:] = axes[first:] @ R.T
+    of_part = held.probe_box >= first
+    probe[of_part] = probe[of_part] @ R.T + t
+    group[1] = R @ group[1] + t
+    return held._replace(center=center, axes=axes, probe_center=probe, group_center=group)
+
+
+def _ball_around(boxes: Sequence[OrientedBox]) -> tuple[Array, float]:
+    """A ball that contains all boxes: centre (3,) and radius, m."""
+    if not boxes:
+        return np.zeros(3), 0.0
+    corners = np.concatenate([box.corners() for box in boxes])
+    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    return middle, float(np.linalg.norm(corners - middle, axis=1).max()) + 1e-9
+
+
+def _probes(box: OrientedBox) -> list[tuple[Array, float]]:
+    """Small spheres that together contain a box: it is cut into nearly cubic cells, each in its own sphere."""
+    edge = min(max(2 * float(np.sort(box.half_extents)[1]), 0.016), LARGEST_PROBE)
+    counts = np.maximum(1, np.ceil(2 * box.half_extents / edge - 1e-9).astype(int))
+    cell = box.half_extents / counts
+    radius = float(np.linalg.norm(cell)) + 1e-9
+    offsets = np.stack(np.meshgrid(*[(2 * np.arange(c) + 1) - c for c in counts], indexing="ij"), axis=-1).reshape(-1, 3)
+    return [(box.T_frame_box[:3, 3] + box.T_frame_box[:3, :3] @ (offset * cell), radius) for offset in offsets]
+
+
+def load_robot(workcell: Workcell) -> RobotModel:
+    """The arm of a workcell.
+
+    Raises:
+        InputError: the robot's files are missing, or its chain is not one of revolute joints.
+    """
+    description = workcell.description
+    urdf = ElementTree.parse(description.path(description.urdf)).getroot()
+    joints = {_text(joint, "child", "link"): joint for joint in urdf.iter("joint") if joint.find("child") is not None}
+    T_joint, lower, upper, links, aligned = _chain(urdf, joints, description)
+
+    n = len(T_joint)
+    T_last_flange = aligned[-1] @ _fixed_transform(joints, links[-1], description.flange_link)
+    T_flange_hand = _fixed_transform(joints, description.flange_link, description.hand_links[0])
+    T_hand_tool = np.eye(4)
+    T_hand_tool[:3, 3] = description.T_hand_tool
+
+    bodies = [*links, description.hand_links[0]]
+    frames = [*range(n + 1), n]
+    T_frame_body = [*aligned, T_last_flange @ T_flange_hand]
+    inflations = [BASE_INFLATION, *[ARM_INFLATION] * (n - 3), *[WRIST_INFLATION] * 3, HAND_INFLATION]
+    covers = [
+        _link_cover(urdf, link, description, inflation) for link, inflation in zip(bodies, inflations, strict=True)
+    ]
+    centers = [c.centers @ T[:3, :3].T + T[:3, 3] for c, T in zip(covers, T_frame_body, strict=True)]
+    balls = [(middle := c.mean(axis=0), float((np.linalg.norm(c - middle, axis=1) + k.radii).max())) for c, k in zip(centers, covers, strict=True)]
+    radii = np.concatenate([c.radii for c in covers])
+    allowed = _disabled_pairs(description)
+    pairs = [
+        (a, b)
+        for a in range(len(bodies))
+        for b in range(a + 1, len(bodies))
+        if frames[b] - frames[a] > 1 and frozenset((bodies[a], bodies[b])) not in allowed
+    ]
+    arm = ArmArrays(
+        T_world_base=np.ascontiguousarray(workcell.T_world_base[:3]),
+        T_joint=np.ascontiguousarray([T[:3] for T in T_joint]),
+        T_tool=np.ascontiguousarray((T_last_flange @ T_flange_hand @ T_hand_tool)[:3]),
+        lower=np.array(lower),
+        upper=np.array(upper),
+        sphere_center=np.concatenate(centers),
+        sphere_radius=radii,
+        body_start=np.cumsum([0, *[len(c) for c in centers]]).astype(np.int32),
+        body_frame=np.array(frames, dtype=np.int32),
+        body_center=np.array([center for center, _ in balls]),
+        body_radius=np.array([radius for _, radius in balls]),
+        self_pairs=np.array(pairs, dtype=np.int32).reshape(-1, 2),
+        held_bodies=np.array([b for b in range(len(bodies)) if frames[b] < n], dtype=np.int32),
+    )
+    fingers = tuple(_finger_boxes(urdf, joints, description))
+    inflation = {link: c.inflation for link, c in zip(bodies, covers, strict=True)}
+    return RobotModel(description, arm, fingers, T_flange_hand @ T_hand_tool, inflation)
+
+
+def _text(element: ElementTree.Element, child: str, attribute: str) -> str:
+    found = element.find(child)
+    return found.get(attribute, "") if found is not None else ""
+
+
+def _numbers(text: str) -> Array:
+    return np.array([float(number) for number in text.split()])
+
+
+def _origin(element: ElementTree.Element) -> Array:
+    """Pose (4, 4) of a URDF element's <origin>: fixed-axis roll, pitch, yaw."""
+    origin = element.find("origin")
+    T = np.eye(4)
+    if origin is None:
+        return T
+    (cr, cp, cy), (sr, sp, sy) = (f(_numbers(origin.get("rpy", "0 0 0"))) for f in (np.cos, np.sin))
+    Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    T[:3, :3] = Rz @ Ry @ Rx
+    T[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
+    return T
+
+
+def _align_z(axis: Array) -> Array:
+    """Rotation as a pose (4, 4) that takes the z axis to a given axis (3,)."""
+    axis = axis / np.linalg.norm(axis)
+    T = np.eye(4)
+    if axis[2] > 1 - 1e-12:
+        return T
+    side = np.cross([0.0, 0.0, 1.0], axis)
+    side = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(side) < 1e-9 else side / np.linalg.norm(side)
+    T[:3, :3] = np.column_stack([side, np.cross(axis, side), axis])
+    return T
+
+
+def _chain(
+    urdf: ElementTree.Element, joints: Mapping[str, ElementTree.Element], description: RobotDescription
+) -> tuple[list[Array], list[float], list[float], list[str], list[Array]]:
+    """Joint transforms with every axis turned to z; also per link the pose (4, 4) of its frame in the joint's frame."""
+    by_name = {joint.get("name"): joint for joint in urdf.iter("joint")}
+    transforms, lower, upper = [], [], []
+    links, aligned = [description.base_link], [np.eye(4)]
+    for name in description.arm_joints:
+        joint = by_name.get(name)
+        if joint is None or joint.get("type") != "revolute":
+            kind = "missing" if joint is None else f"of type {joint.get('type')!r}"
+            raise InputError(f"joint {name!r} is {kind}; it must be revolute", f"{description.name}: {description.urdf}")
+        if _text(joint, "parent", "link") != links[-1]:
+            raise InputError(f"joint {name!r} does not follow link {links[-1]!r}", f"{description.name}: {description.urdf}")
+        turn = _align_z(_numbers(_text(joint, "axis", "xyz") or "1 0 0"))
+        transforms.append(aligned[-1] @ _origin(joint) @ turn)
+        lower.append(float(_text(joint, "limit", "lower")))
+        upper.append(float(_text(joint, "limit", "upper")))
+        links.append(_text(joint, "child", "link"))
+        aligned.append(pose_inverse(turn))
+    return transforms, lower, upper, links, aligned
+
+
+def _fixed_transform(joints: Mapping[str, ElementTree.Element], ancestor: str, link: str) -> Array:
+    """Pose (4, 4) of a link in the frame of an ancestor, all joints between them at zero."""
+    T = np.eye(4)
+    while link != ancestor:
+        joint = joints[link]
+        T = _origin(joint) @ T
+        link = _text(joint, "parent", "link")
+    return T
+
+
+def _collision_elements(urdf: ElementTree.Element, link: str) -> list[ElementTree.Element]:
+    return [c for element in urdf.iter("link") if element.get("name") == link for c in element.iter("collision")]
+
+
+def _link_cover(urdf: ElementTree.Element, link: str, description: RobotDescription, inflation: float) -> SphereCover:
+    """Spheres around the collision geometry of a link, in the link's frame."""
+    parts = []
+    for element in _collision_elements(urdf, link):
+        mesh = element.find("geometry/mesh")
+        if mesh is None:
+            raise InputError(f"link {link!r} has collision geometry that is no mesh", f"{description.name}: {description.urdf}")
+        path = description.resolve(mesh.get("filename", ""))
+        found = _mesh_cover(str(path), hashlib.sha256(path.read_bytes()).hexdigest(), inflation)
+        T = _origin(element)
+        parts.append(SphereCover(found.centers @ T[:3, :3].T + T[:3, 3], found.radii, found.inflation))
+    if not parts:
+        raise InputError(f"link {link!r} has no collision geometry", f"{description.name}: {description.urdf}")
+    return SphereCover(
+        np.concatenate([p.centers for p in parts]), np.concatenate([p.radii for p in parts]), max(p.inflation for p in parts)
+    )
+
+
+def cache_folder() -> Path:
+    """Where results that only cost time are kept: TAKEAPART_CACHE, or takeapart/ in the user's cache folder."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(os.environ.get("TAKEAPART_CACHE") or str(Path(base) / "takeapart"))
+
+
+@lru_cache(maxsize=64)
+def _mesh_cover(path: str, digest: str, inflation: float) -> SphereCover:
+    """Cover of the convex hull of a mesh file; computed once per file content and kept in the cache folder."""
+    file = cache_folder() / f"cover-2-{digest[:24]}-{inflation * 1e4:.0f}.npy"
+    if file.is_file():
+        try:
+            rows = np.load(file, allow_pickle=False)
+            if rows.ndim == 2 and rows.shape[1] == 4 and len(rows) > 1 and np.isfinite(rows).all():
+                return SphereCover(rows[1:, :3], rows[1:, 3], float(rows[0, 3]))
+        except (OSError, ValueError):
+            pass  # a damaged cache is made again
+    hull = trimesh.load_mesh(path).convex_hull
+    found = sphere_cover(
+        np.asarray(hull.triangles, dtype=float), np.asarray(hull.face_normals), inflation, np.random.default_rng(0)
+    )
+    rows = np.vstack([[0, 0, 0, found.inflation], np.column_stack([found.centers, found.radii])])
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_suffix(f".{os.getpid()}.npy")
+        np.save(temporary, rows, allow_pickle=False)
+        temporary.replace(file)
+    except OSError:
+        pass  # without a place for the cache the cover is made again next time
+    return found
+
+
+def _finger_boxes(
+    urdf: ElementTree.Element, joints: Mapping[str, ElementTree.Element], description: RobotDescription
+) -> list[tuple[str, OrientedBox, Array]]:
+    """Boxes of the fingers in the hand's frame at opening 0; a mesh is replaced by its oriented bounding box."""
+    found = []
+    for link in description.finger_links:
+        joint = joints[link]
+        T_hand_finger = _fixed_transform(joints, description.hand_links[0], link)
+        direction = T_hand_finger[:3, :3] @ _numbers(_text(joint, "axis", "xyz"))
+        for element in _collision_elements(urdf, link):
+            T = T_hand_finger @ _origin(element)
+            box, mesh = element.find("geometry/box"), element.find("geometry/mesh")
+            if box is not None:
+                found.append((link, OrientedBox(T, _numbers(box.get("size", "")) / 2), direction))
+            elif mesh is not None:
+                bound = trimesh.load_mesh(description.resolve(mesh.get("filename", ""))).bounding_box_oriented.primitive
+                found.append((link, OrientedBox(T @ bound.transform, np.asarray(bound.extents) / 2), direction))
+    return found
+
+
+def _disabled_pairs(description: RobotDescription) -> set[frozenset[str]]:
+    """Link pairs that the robot's SRDF says need no check: they touch always, or can never meet."""
+    root = ElementTree.parse(description.path(description.srdf)).getroot()
+    return {frozenset((e.get("link1", ""), e.get("link2", ""))) for e in root.iter("disable_collisions")}

@@ -1,0 +1,247 @@
+"""Best-first search for assemblies with too many reachable states to enumerate.
+
+First a descent for a plan at once, then lazy beams, which improve it at few queries, then lazy weighted A* (Cohen,
+Phillips and Likhachev 2014): states wait in the order of g + w h, where g is the length so far, h the sum of what every
+remaining part costs at least, and w >= 1 the suboptimality factor. An edge is planned only when the state behind it
+comes first by its lower bound. A guide's estimate of the rest takes the place of w h, cut to what lies between h and
+w h: that keeps the factor w true. Sweeps with falling w (restarting weighted A*, Richter, Thayer and Ruml 2010)
+improve the plan; what earlier sweeps asked for is free.
+
+Which bounds are proofs: as in `exact`, `sequence_bound` is relative to what the planner finds (see there). It is the
+greatest of four: h at the root; length / w after a sweep that came to its end; the least g + h of all states that wait
+in the sweep with w = 1; and the same of a sweep with w = 1 that takes every edge at its lower bound and asks
+nothing, which is run when the others are done or the budget is spent. The second and third hold only if no closed cost
+fell meanwhile, and are dropped otherwise. Lazy beams give plans, never bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+
+from takeapart.errors import InputError
+from takeapart.problem import Guide, Problem
+from takeapart.search.inquiry import Edge, Inquiry, bounds_of
+from takeapart.search.lattice_bounds import TOLERANCE
+from takeapart.search.lazy_beam import lazy_beam
+from takeapart.search.mcts import MAXIMUM_REFUSALS, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.orders import DeadEndError, Orders
+from takeapart.search.result import Budget, ProgressListener, SearchResult
+from takeapart.search.sweep import Sweep
+
+
+@dataclass(frozen=True)
+class BestFirstOptions:
+    """Options of `best_first`.
+
+    Args:
+        beams: widths of the lazy beams.
+        weights: suboptimality factors w of the sweeps, falling, at least 1. With 1 at the end, a search that is not cut
+            short ends with the best order for the edge costs known.
+        attempts: how often a removal is planned per query, with different random seeds.
+        batch: edges asked at a time.
+        workers: threads that ask; the result does not depend on it.
+        second_look: attempts with which refused parts are planned again before no order is believed to exist.
+        memory_limit: waiting and visited states of a sweep, about 300 bytes each; a sweep that exceeds it is given up.
+        bound_states: states that the final sweep for the bound may expand.
+    """
+
+    beams: tuple[int, ...] = (4, 16, 64)
+    weights: tuple[float, ...] = (1.5, 1.2, 1.1, 1.05, 1.02, 1.0)
+    attempts: int = 1
+    batch: int = 2
+    workers: int = 1
+    second_look: int = 4
+    memory_limit: int = 4_000_000
+    bound_states: int = 5_000
+
+    def __post_init__(self) -> None:
+        for name, least in (
+            ("attempts", 1),
+            ("batch", 1),
+            ("workers", 1),
+            ("second_look", 0),
+            ("memory_limit", 1),
+            ("bound_states", 1),
+        ):
+            if getattr(self, name) < least:
+                raise InputError(f"{getattr(self, name)}; must be at least {least}", f"best_first.{name}")
+        if any(width < 1 for width in self.beams):
+            raise InputError(f"{self.beams}; every width must be at least 1", "best_first.beams")
+        falling = all(a > b for a, b in zip(self.weights, self.weights[1:], strict=False))
+        if not self.weights or not falling or self.weights[-1] < 1 or math.isinf(self.weights[0]):
+            raise InputError(f"{self.weights}; must be finite, falling, and at least 1", "best_first.weights")
+
+
+def best_first(
+    problem: Problem,
+    options: BestFirstOptions,
+    budget: Budget,
+    listen: ProgressListener | None = None,
+    guide: Guide | None = None,
+    observe: TransitionObserver | None = None,
+) -> SearchResult:
+    """A good order of parts with a bound, without enumerating states.
+
+    Args:
+        problem: makes use of the same optional attributes as `exact`. With `hindered_by` conditions are known to be
+            monotone, and the first dead end proves that there is no order.
+        budget: an episode is a beam or a sweep.
+        guide: leads the first descent, and the sweeps as far as their factor allows.
+
+    Returns:
+        as `exact`; the statistic "weight" is the factor w of the last sweep that ended with a plan.
+    """
+    log = Logbook(problem, budget, listen, observe)
+    bounds = bounds_of(problem)
+    interrupted = False
+    with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
+        search = _BestFirst(Orders(log, bounds, inquiry, options.batch, guide), options)
+        try:
+            search.run()
+        except BudgetSpentError:
+            pass
+        except KeyboardInterrupt:
+            interrupted = True
+    search.settle()
+    return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
+
+
+class _BestFirst:
+    """One run: descent, lazy beams, sweeps, bound."""
+
+    def __init__(self, orders: Orders, options: BestFirstOptions) -> None:
+        self.orders, self.options = orders, options
+        self.log, self.bounds, self.inquiry = orders.log, orders.bounds, orders.inquiry
+        self.looked_twice: set[Edge] = set()
+        self.falls = -1  # of the bounds, when log.bound was last raised
+        self.sweep: Sweep | None = None
+
+    def run(self) -> None:
+        """Until the order is proved best, no order is left, the weights are used up, or memory is."""
+        smallest = [(state, part) for part, state in self.orders.smallest.items()]
+        candidates = self.log.problem.candidates  # without masks a part may be unable to leave only because it is alone
+        self.inquiry.ask(
+            [edge for edge in smallest if edge[1] in candidates(edge[0]) and not self.bounds.is_closed(*edge)]
+        )
+        while not self.attempt():
+            refused = self.doubtful_refusals()
+            if not refused:
+                self.log.statistics["infeasible"] = 1.0
+                return
+            self.inquiry.ask(refused, self.options.second_look)
+
+    def attempt(self) -> bool:
+        """Descend, improve, and prove; False at dead ends that leave no order."""
+        self.log.dead_ends.clear()
+        for part, cost in self.orders.least_costs().items():
+            if math.isinf(cost):
+                self.orders.dead_end(self.orders.smallest[part])
+        if self.log.dead_ends:
+            return False
+        self.refresh_bound()
+        try:
+            if math.isinf(self.log.best[0]):
+                self.descend()
+            for width in self.options.beams:
+                lazy_beam(self.orders, width)
+                self.log.clock.episodes += 1
+                self.refresh_bound()
+                self.log.report()
+            return self.prove()
+        except DeadEndError:
+            return False
+
+    def prove(self) -> bool:
+        """Sweeps with falling weights; False if there is no order."""
+        remaining = list(self.options.weights)
+        while remaining:
+            self.refresh_bound()
+            weight = remaining.pop(0)
+            if self.log.best[0] <= weight * self.log.bound + TOLERANCE:
+                continue
+            falls = self.bounds.falls
+            self.sweep = Sweep(self.orders, weight, lazy=True)
+            ended = self.sweep.run(self.options.memory_limit, None)
+            self.log.clock.episodes += 1
+            if not ended:
+                self.log.statistics["out_of_memory"] = 1.0
+                return True
+            if math.isinf(self.log.best[0]):
+                self.find_dead_ends(self.sweep)
+                return False
+            self.log.statistics["weight"] = weight
+            self.raise_bound(self.log.best[0] / weight, falls)
+            if weight == 1.0 and falls != self.bounds.falls:
+                remaining = [weight]  # what a falling cost may have hidden is looked for again
+            self.log.report()
+        return True
+
+    def settle(self) -> None:
+        """The bound that all that was learned allows, once the search has ended for whatever reason."""
+        if self.sweep is not None and self.sweep.weight == 1.0:
+            self.raise_bound(self.sweep.least(), self.sweep.falls)
+        self.refresh_bound()
+        if self.log.statistics.get("infeasible"):
+            self.log.bound = math.inf
+        elif self.log.bound < self.log.best[0] - TOLERANCE:
+            final = Sweep(self.orders, 1.0, lazy=False)
+            with suppress(DeadEndError):
+                final.run(self.options.memory_limit, self.options.bound_states)
+                self.raise_bound(final.least(), final.falls)
+        self.log.report()
+
+    def refresh_bound(self) -> None:
+        """Drop the bound if a closed cost fell since it was found; h at the root always holds."""
+        if self.falls != self.bounds.falls:
+            self.falls, self.log.bound = self.bounds.falls, -math.inf
+        self.raise_bound(sum(self.orders.least_costs().values()), self.falls)
+
+    def raise_bound(self, bound: float, falls: int) -> None:
+        """Take a bound that was found after so many falls; no bound is above the best length."""
+        if falls == self.bounds.falls:
+            before = self.log.bound if self.falls == falls else -math.inf
+            self.falls, self.log.bound = falls, min(max(before, bound), self.log.best[0])
+
+    def descend(self) -> None:
+        """Follow the part that costs least more than it must (or that the guide prefers) until a plan is found."""
+        state, order = self.log.problem.root, []
+        least = self.orders.least_costs()
+        blamed: dict[int, int] = {}  # per part that was refused: what stood in its way
+        while state:
+            doubt = self.orders.doubt(state)
+            excess = {part: self.bounds.lower(state, part) - least[part] for part in self.log.problem.candidates(state)}
+            still = {part: not mask & ~state for part, mask in blamed.items()}
+            for part in sorted(excess, key=lambda p: (still.get(p, False), doubt.get(p, 0.0), excess[p])):
+                if not self.bounds.is_closed(state, part):
+                    self.inquiry.ask([(state, part)])
+                if refusal := self.bounds.refusal(state, part):
+                    blamed[part] = refusal.blamed
+                if math.isfinite(self.bounds.upper(state, part)):
+                    break
+            else:
+                self.orders.meet_dead_end(state)
+                return
+            order.append(part)
+            state &= ~(1 << part)
+        self.orders.offer(order)
+
+    def find_dead_ends(self, sweep: Sweep) -> None:
+        """Take note of the deepest dead ends that a sweep without a plan has visited."""
+        for state in sorted(sweep.g, key=lambda state: (state.bit_count(), state)):
+            if self.orders.is_dead_end(state):
+                self.orders.dead_end(state)
+                if len(self.log.dead_ends) == MAXIMUM_REFUSALS:
+                    return
+
+    def doubtful_refusals(self) -> list[Edge]:
+        """Edges out of a dead end that were not looked at twice: those of the deepest one that has any."""
+        for state in sorted(self.log.dead_ends, key=int.bit_count) if self.options.second_look else ():
+            found = [
+                (state, part) for part in self.log.problem.candidates(state) if (state, part) not in self.looked_twice
+            ]
+            if found:
+                self.looked_twice.update(found)
+                return found
+        return []

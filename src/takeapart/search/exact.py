@@ -1,0 +1,245 @@
+"""Exact search: lazy evaluation on the lattice of reachable states (LazySP, Dellin and Srinivasa 2016).
+
+Every round solves the order of parts twice by dynamic programming: on the lower bounds of all edges, whose optimum no
+order can undercut, and on what is known to work, whose optimum is a plan. Then it asks the removal planner for open
+edges of the sequence that looks best, and stops when both optima meet. Most edges are never asked for.
+
+What the numbers are:
+
+- `SearchResult.length` is the length of a sequence of removals in hand: always true.
+- `SearchResult.sequence_bound` is relative to what the planner finds. No order of parts is shorter if every edge that
+  was asked for costs what the planner made of it, every edge not asked for costs at least as much as the closed edges
+  in its subsets, and nothing undercuts the static bounds. With exact edge costs it is the true optimum of the lattice.
+  It does not say that a better path planner could not do better; only the sum of the static bounds says that.
+- "infeasible" likewise: every sequence runs through a part that the planner could not remove, when it was asked a
+  second time with more attempts too. Only what gravity and lifting forbid is beyond doubt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from takeapart.errors import InputError
+from takeapart.problem import Guide, Problem
+from takeapart.removal.bounds import EdgeBounds
+from takeapart.search.best_first import BestFirstOptions, best_first
+from takeapart.search.inquiry import Edge, Inquiry, bounds_of, refusals_in
+from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
+from takeapart.search.lattice_bounds import TOLERANCE, SequenceBounds
+from takeapart.search.mcts import MAXIMUM_REFUSALS, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.result import Budget, ProgressListener, SearchResult
+
+MANY_STATES = 500_000
+
+
+@dataclass(frozen=True)
+class ExactOptions:
+    """Options of `exact`.
+
+    Args:
+        attempts: how often a removal is planned per query, with different random seeds.
+        gap: stop when length <= (1 + gap) * bound; 0 proves the best order for the edge costs known.
+        batch: edges asked per round, all chosen before the first is asked; half of them are those with the most
+            uncertain cost, half those nearest the goal, whose bounds serve the most states. 0 takes 2 of them, which
+            asked the fewest queries on synthetic problems of 21 and 30 parts (the whole sequence took half as many
+            again), and 8 from 500,000 states on, where a round costs as much as several queries.
+        workers: threads that ask; the result does not depend on it. More than `batch` have nothing to do.
+        second_look: attempts with which the parts that block a dead end are planned again before no order is believed
+            to exist; 0 believes at once.
+        refine: attempts with which the edges of the best sequence are planned again in the end, where they are longer
+            than their static bound; 0 does not refine.
+        state_limit: of the lattice; a state with 10 candidates takes about 350 bytes. Beyond, best-first search
+            takes over.
+        best_first: its options.
+    """
+
+    attempts: int = 1
+    gap: float = 0.0
+    batch: int = 0
+    workers: int = 1
+    second_look: int = 4
+    refine: int = 0
+    state_limit: int = 2_000_000
+    best_first: BestFirstOptions = field(default_factory=BestFirstOptions)
+
+    def __post_init__(self) -> None:
+        for name, least in (("attempts", 1), ("batch", 0), ("workers", 1), ("second_look", 0), ("refine", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"{getattr(self, name)}; must be at least {least}", f"exact.{name}")
+        if not 0 <= self.gap < math.inf:
+            raise InputError(f"{self.gap}; must be at least 0 and finite", "exact.gap")
+
+
+def exact(
+    problem: Problem,
+    options: ExactOptions,
+    budget: Budget,
+    listen: ProgressListener | None = None,
+    guide: Guide | None = None,
+    observe: TransitionObserver | None = None,
+) -> SearchResult:
+    """The best order of parts, and the proof of it, for the edge costs that the removal planner finds.
+
+    Args:
+        problem: optional attributes are made use of: `edge_bounds` (`EdgeBounds` shared with other searches),
+            `static_lower(part)` and `hindered_by` (see `enumerate_states`).
+        budget: an episode is a round.
+        guide: leads the first descent, and says which of several unknown edges is asked first.
+
+    Returns:
+        best sequence, its length and `sequence_bound`; where there is no order, the statistic "infeasible" 1 and the
+        deepest dead ends as refusals.
+    """
+    log = Logbook(problem, budget, listen, observe)
+    interrupted = False
+    try:
+        lattice = enumerate_states(problem, options.state_limit)
+    except KeyboardInterrupt:
+        return log.result(interrupted=True)
+    if isinstance(lattice, TooLarge):
+        return best_first(problem, options.best_first, budget, listen, guide, observe)
+    bounds = bounds_of(problem)
+    with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
+        search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
+        try:
+            search.run()
+        except BudgetSpentError:
+            pass
+        except KeyboardInterrupt:
+            interrupted = True
+    search.settle()
+    return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
+
+
+class _LazySearch:
+    """One run on a lattice."""
+
+    def __init__(
+        self,
+        log: Logbook,
+        lattice: Lattice,
+        bounds: EdgeBounds,
+        inquiry: Inquiry,
+        options: ExactOptions,
+        guide: Guide | None,
+    ) -> None:
+        self.log, self.lattice, self.bounds, self.inquiry = log, lattice, bounds, inquiry
+        self.options, self.guide = options, guide
+        self.sequences = SequenceBounds(lattice, bounds)
+        self.looked_twice: set[Edge] = set()
+        self.refined: set[Edge] = set()
+
+    def run(self) -> None:
+        """Until the gap is closed or no order is left; raises BudgetSpentError where that takes too long."""
+        self.close_smallest_states()
+        self.settle()
+        if math.isinf(self.log.best[0]):
+            self.descend()
+        while True:
+            self.settle()
+            if math.isinf(self.sequences.lower):
+                batch, attempts = self.doubtful_refusals(), self.options.second_look
+            elif self.log.best[0] <= (1 + self.options.gap) * self.log.bound + TOLERANCE:
+                batch, attempts = self.improvable(), self.options.refine
+            else:
+                batch, attempts = self.most_telling(), self.options.attempts
+            if not batch:
+                return
+            self.inquiry.ask(batch, attempts)
+            self.log.clock.episodes += 1
+
+    def settle(self) -> None:
+        """Bring bounds, best sequence and refusals up to date with all that was learned, and report."""
+        log, sequences = self.log, self.sequences
+        sequences.update()
+        if sequences.upper < log.best[0]:
+            removals = [self.bounds.best(self.lattice.state(row), part) for row, _, part in sequences.best_known()]
+            log.offer([each for each in removals if each is not None], found_episode=log.clock.episodes)
+        log.bound = min(sequences.lower, log.best[0])
+        log.dead_ends.clear()
+        if math.isinf(log.bound):
+            for row in sequences.dead_ends(MAXIMUM_REFUSALS):
+                state = self.lattice.state(row)
+                log.dead_end(state, refusals_in(log.problem, self.bounds, state))
+        log.statistics |= {
+            "states": len(self.lattice.states),
+            "edges": len(self.lattice.child),
+            "states_left": len(sequences.rows),
+            "infeasible": float(math.isinf(log.bound)),
+        }
+        log.report()
+
+    def close_smallest_states(self) -> None:
+        """Plan every part in the smallest state that it can leave: a lower bound for all its edges."""
+        smallest = self.lattice.smallest_states()
+        self.inquiry.ask([(state, part) for part, state in smallest.items() if not self.bounds.is_closed(state, part)])
+
+    def descend(self) -> None:
+        """Follow the most promising part from state to state, so that there is a plan early; ends at a dead end."""
+        sequences, row, state = self.sequences, 0, self.log.problem.root
+        blamed: dict[int, int] = {}  # per part that was refused: what stood in its way
+        while row != self.lattice.goal:
+            doubt = self.doubt(state)
+            edges = {self.lattice.part(edge): edge for edge in self.lattice.edges(row)}
+            promise = {part: sequences.bound_through(edge) for part, edge in edges.items()}
+            still = {part: not mask & ~state for part, mask in blamed.items()}
+            for part in sorted(promise, key=lambda p: (still.get(p, False), doubt.get(p, 0.0), promise[p])):
+                if math.isinf(promise[part]):
+                    continue
+                if not self.bounds.is_closed(state, part):
+                    self.inquiry.ask([(state, part)])
+                if math.isfinite(self.bounds.upper(state, part)):
+                    row, state = int(self.lattice.child[edges[part]]), state & ~(1 << part)
+                    break
+                if refusal := self.bounds.refusal(state, part):
+                    blamed[part] = refusal.blamed
+            else:
+                return
+
+    def doubt(self, state: int) -> dict[int, float]:
+        """Per candidate, how much worse than the best one the guide takes it to be, m; empty without a guide."""
+        if self.guide is None:
+            return {}
+        values = self.guide([state])[0]
+        return {part: max(values.values()) - value for part, value in values.items()}
+
+    def most_telling(self) -> list[Edge]:
+        """Open edges of the sequence that looks best."""
+        sequences = self.sequences
+        open_edges = [(row, edge, part) for row, edge, part in sequences.most_promising() if sequences.is_open(edge)]
+        batch = self.options.batch or (2 if len(self.lattice.states) < MANY_STATES else 8)
+        last = batch // 2
+        chosen, others = open_edges[-last:] if last else [], open_edges[: len(open_edges) - last]
+
+        def telling(step: tuple[int, int, int]) -> tuple[float, float]:
+            row, edge, part = step
+            doubt = self.doubt(self.lattice.state(row)) if self.guide is not None else {}
+            return sequences.uncertainty(edge), doubt.get(part, 0.0)
+
+        chosen = sorted(others, key=telling, reverse=True)[: batch - last] + chosen
+        return [(self.lattice.state(row), part) for row, _, part in chosen]
+
+    def improvable(self) -> list[Edge]:
+        """Edges of the best sequence that were not refined yet and are longer than they would have to be."""
+        if not self.options.refine:
+            return []
+        steps = [(self.lattice.state(row), part) for row, _, part in self.sequences.best_known()]
+        found = [
+            step
+            for step in steps
+            if step not in self.refined and self.bounds.upper(*step) > self.bounds.static(step[1]) + TOLERANCE
+        ]
+        self.refined.update(found)
+        return found
+
+    def doubtful_refusals(self) -> list[Edge]:
+        """Edges out of a dead end that were refused, but not looked at twice: those of the deepest one that has any."""
+        for state in self.log.dead_ends if self.options.second_look else ():
+            found = [
+                (state, part) for part in self.log.problem.candidates(state) if (state, part) not in self.looked_twice
+            ]
+            if found:
+                self.looked_twice.update(found)
+                return found
+        return []

@@ -1,0 +1,132 @@
+"""Asks the removal planner for several edges at once and books the answers.
+
+The edges are chosen before the first is asked, hold every part at most once, and are booked in their order: what one
+query finds cannot change another of the same batch, and the outcome does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+
+from takeapart.assembly import members
+from takeapart.problem import Problem
+from takeapart.removal.bounds import EdgeBounds
+from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.search.lattice import hindrances
+from takeapart.search.mcts import BudgetSpentError, Logbook
+
+Edge = tuple[int, int]
+"""State and part."""
+
+
+class Inquiry:
+    """The asking side of the searches that work with bounds; a context manager that ends its threads.
+
+    Args:
+        log: its problem is asked, its budget is kept.
+        bounds: where the answers are booked.
+        attempts: of every query, unless told otherwise.
+        workers: threads that ask; one asks in the calling thread.
+    """
+
+    def __init__(self, log: Logbook, bounds: EdgeBounds, attempts: int, workers: int) -> None:
+        self._log, self._bounds, self._attempts = log, bounds, attempts
+        self._pool = ThreadPoolExecutor(workers, "removal-query") if workers > 1 else None
+        self._cancelled = False
+
+    def __enter__(self) -> Inquiry:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def ask(self, edges: Sequence[Edge], attempts: int | None = None) -> None:
+        """Plan edges with the full effort, each only for something shorter than what is known, and close them.
+
+        Args:
+            edges: of different parts. Those beyond the budget in queries are left out.
+
+        Raises:
+            BudgetSpentError: before anything is asked, or because the time ran out within the batch.
+        """
+        clock = self._log.clock
+        if clock.spent():
+            raise BudgetSpentError
+        room = clock.budget.queries - clock.queries
+        asked = [edge for i, edge in enumerate(edges) if i < room]
+        efforts = [Effort(attempts or self._attempts, self._bounds.upper(*edge)) for edge in asked]
+        if self._pool is None:
+            for edge, effort in zip(asked, efforts, strict=True):
+                self._book(edge, self._query(edge, effort))
+            return
+        futures = [self._pool.submit(self._query, edge, effort) for edge, effort in zip(asked, efforts, strict=True)]
+        try:
+            answers = [future.result() for future in futures]
+        except BaseException:
+            self._salvage(asked, futures)
+            raise
+        for edge, answer in zip(asked, answers, strict=True):
+            self._book(edge, answer)
+
+    def _query(self, edge: Edge, effort: Effort) -> Removal | Blocked | None:
+        # Not clock.spent(): while threads are asking, the count of queries depends on their timing.
+        clock = self._log.clock
+        if self._cancelled or clock.stop or clock.seconds >= clock.budget.seconds:
+            return None
+        return self._log.problem.remove(*edge, effort)
+
+    def _salvage(self, edges: Sequence[Edge], futures: Sequence[Future[Removal | Blocked | None]]) -> None:
+        """After Ctrl-C or an error: let running queries end, drop the waiting ones, book what was answered."""
+        self._cancelled = True
+        for edge, future in zip(edges, futures, strict=True):
+            if not future.cancel() and future.exception() is None:
+                self._book(edge, future.result(), late=True)
+
+    def _book(self, edge: Edge, answer: Removal | Blocked | None, late: bool = False) -> None:
+        if answer is None:
+            if late:
+                return
+            raise BudgetSpentError
+        state, part = edge
+        if isinstance(answer, Removal):
+            self._bounds.add_removal(answer)
+            if self._log.observe is not None:
+                following = state & ~(1 << part)
+                self._log.observe(state, part, -answer.length, following, self._log.problem.candidates(following))
+        known = math.isfinite(self._bounds.upper(state, part))
+        self._bounds.close(state, part, None if known or isinstance(answer, Removal) else answer)
+
+
+def bounds_of(problem: Problem) -> EdgeBounds:
+    """The problem's own `edge_bounds` if it has any (shared with other searches, kept on disk), otherwise new ones.
+
+    New ones start from the problem's `static_lower(part)` where it has that, from 0 otherwise.
+    """
+    own = getattr(problem, "edge_bounds", None)
+    if isinstance(own, EdgeBounds):
+        return own
+    static = getattr(problem, "static_lower", None)
+    root = problem.root
+    return EdgeBounds([static(i) if static and root >> i & 1 else 0.0 for i in range(root.bit_length())])
+
+
+def refusals_in(problem: Problem, bounds: EdgeBounds, state: int) -> list[Blocked]:
+    """Why each part of a dead end cannot leave: what the planner said or, where nothing may be lifted, what hinders.
+
+    The optional `hindrance(state, part)` of a problem tells gravity from lifting.
+    """
+    parts = problem.candidates(state)
+    if parts:
+        return [bounds.refusal(state, part) or Blocked(part, "path", state & ~(1 << part)) for part in parts]
+    explain = getattr(problem, "hindrance", None)
+    if explain is not None:
+        return [refusal for part in members(state) if (refusal := explain(state, part)) is not None]
+    masks = hindrances(problem)
+    hindering = {part: masks[part] if masks else ~(1 << part) for part in members(state)}
+    return [Blocked(part, "stability", mask & state) for part, mask in hindering.items()]

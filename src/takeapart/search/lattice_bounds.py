@@ -1,0 +1,195 @@
+"""The bounds of `EdgeBounds` for all edges of a lattice at once, and what they say about sequences.
+
+A new removal can only change edges of its part in states that share nothing with its blockers; a newly closed edge only
+edges of its part in supersets of its state. Both are one compiled pass over the edges of one part. Only where a removal
+undercuts a closed edge (the planner found in a larger state what it missed in a smaller one), the bounds of that part
+are computed afresh.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from takeapart.removal.bounds import EdgeBounds
+from takeapart.search.lattice import Lattice, Values, cost_from_root, cost_to_go, pack
+
+TOLERANCE = 1e-9  # m; sums of the same lengths in another order differ by less
+
+Step = tuple[int, int, int]
+"""Row of a state, edge that leaves it, number of the part that leaves."""
+
+
+class LatticeBounds:
+    """`lower` and `upper` of all edges of a lattice.
+
+    Attributes:
+        lower: (E,) m, infinite where the part is known to be blocked; equal to `upper` where the edge is closed.
+        upper: (E,) m, infinite where no removal is known.
+    """
+
+    def __init__(self, lattice: Lattice, bounds: EdgeBounds) -> None:
+        self._lattice, self._bounds = lattice, bounds
+        static = np.array([bounds.static(part) for part in lattice.parts], dtype=np.float64)
+        self.lower: Values = static[lattice.edge_part]
+        self.upper: Values = np.full(len(lattice.child), math.inf)
+        self._versions = [-1] * len(lattice.parts)
+        self._removals: list[set[tuple[float, int]]] = [set() for _ in lattice.parts]
+        self._costs: list[dict[int, float]] = [{} for _ in lattice.parts]  # closed state -> cost when last looked at
+
+    def update(self) -> tuple[bool, bool]:
+        """Take in what `EdgeBounds` learned since the last call.
+
+        Returns:
+            Whether a bound may have changed, and whether a lower bound may have fallen.
+        """
+        changed = fell = False
+        for k, part in enumerate(self._lattice.parts):
+            version = self._bounds.version(part)
+            if version != self._versions[k]:
+                changed = True
+                fell |= self._update_part(k, part)
+                self._versions[k] = version
+        return changed, fell
+
+    def _update_part(self, k: int, part: int) -> bool:
+        lattice, bounds = self._lattice, self._bounds
+        group = slice(lattice.first_of_part[k], lattice.first_of_part[k + 1])
+        edges, sources = lattice.part_edge[group], lattice.part_source[group]
+        fell = False
+        for removal in bounds.removals(part):
+            if (removal.length, removal.blockers) not in self._removals[k]:
+                blockers = pack(removal.blockers, lattice.parts)
+                fell |= _take_removal(lattice.states, sources, edges, blockers, removal.length, self.lower, self.upper)
+                self._removals[k].add((removal.length, removal.blockers))
+        costs = {edge.state: bounds.upper(edge.state, part) for edge in bounds.closed_edges(part)}
+        undercut = any(costs[state] < cost for state, cost in self._costs[k].items())
+        if undercut:
+            self.lower[edges] = np.minimum(bounds.static(part), self.upper[edges])
+        root = lattice.state(0)
+        for state, cost in costs.items():
+            if (undercut or state not in self._costs[k]) and not state & ~root:
+                _take_closed(lattice.states, sources, edges, pack(state, lattice.parts), cost, self.lower, self.upper)
+        self._costs[k] = costs
+        return fell or undercut
+
+
+class SequenceBounds:
+    """The shortest sequences over `lower` and over `upper`, by dynamic programming.
+
+    States through which no sequence can be shorter than the best one known are left out of the sweeps. Their values
+    stay what they were, which are still bounds, and they come back if a lower bound falls.
+
+    Attributes:
+        lower: no sequence is shorter, m, as far as `EdgeBounds.lower` goes; or it is above `upper`, which then is best.
+        upper: length of the shortest sequence of known removals, m.
+        rows: of the states that still matter, ascending.
+    """
+
+    def __init__(self, lattice: Lattice, bounds: EdgeBounds) -> None:
+        self._lattice = lattice
+        self._edges = LatticeBounds(lattice, bounds)
+        self._all_rows = np.arange(len(lattice.states) - (lattice.goal >= 0), dtype=np.int32)  # the goal is last
+        self.rows: NDArray[np.int32] = self._all_rows
+        self._to_go = np.zeros(len(lattice.states))  # over lower
+        self._known = np.zeros(len(lattice.states))  # over upper
+        self.lower = self.upper = math.inf
+
+    def update(self) -> None:
+        """Take in what the bounds learned since the last call."""
+        changed, fell = self._edges.update()
+        if not changed:
+            return
+        lattice = self._lattice
+        if fell:
+            self.rows = self._all_rows
+        cost_to_go(lattice.first_edge, lattice.child, self._edges.lower, self.rows, self._to_go)
+        cost_to_go(lattice.first_edge, lattice.child, self._edges.upper, self.rows, self._known)
+        self.lower, self.upper = float(self._to_go[0]), float(self._known[0])
+        through = self._from_root(self.rows)[self.rows] + self._to_go[self.rows]
+        self.rows = self.rows[through < self.upper - TOLERANCE]
+
+    def most_promising(self) -> list[Step]:
+        """The shortest sequence over `lower`; finite `lower` only."""
+        return self._sequence(self._edges.lower, self._to_go)
+
+    def best_known(self) -> list[Step]:
+        """The shortest sequence of known removals; finite `upper` only."""
+        return self._sequence(self._edges.upper, self._known)
+
+    def is_open(self, edge: int) -> bool:
+        """Whether planning the edge can change anything."""
+        return bool(self._edges.lower[edge] < self._edges.upper[edge])
+
+    def uncertainty(self, edge: int) -> float:
+        """By how much the cost of the edge may exceed its bound, m."""
+        return float(self._edges.upper[edge] - self._edges.lower[edge]) if self.is_open(edge) else 0.0
+
+    def bound_through(self, edge: int) -> float:
+        """No sequence from the edge's state to the goal that begins with this edge is shorter, m."""
+        return float(self._edges.lower[edge] + self._to_go[self._lattice.child[edge]])
+
+    def dead_ends(self, limit: int) -> list[int]:
+        """Rows of states that are not known to be out of reach, with all their edges known to be blocked.
+
+        Those with fewest parts first, at most `limit`.
+        """
+        found: list[int] = []
+        for row in np.nonzero(np.isfinite(self._from_root(self._all_rows)))[0][::-1]:
+            lower = [self._edges.lower[edge] for edge in self._lattice.edges(int(row))]
+            if row != self._lattice.goal and all(math.isinf(bound) for bound in lower):
+                found.append(int(row))
+                if len(found) == limit:
+                    break
+        return found
+
+    def _from_root(self, rows: NDArray[np.int32]) -> Values:
+        value = np.full(len(self._lattice.states), math.inf)
+        value[0] = 0.0
+        cost_from_root(self._lattice.first_edge, self._lattice.child, self._edges.lower, rows, value)
+        return value
+
+    def _sequence(self, cost: Values, to_go: Values) -> list[Step]:
+        row, steps = 0, []
+        while row != self._lattice.goal:
+            edge = min(self._lattice.edges(row), key=lambda e: float(cost[e] + to_go[self._lattice.child[e]]))
+            steps.append((row, edge, self._lattice.part(edge)))
+            row = int(self._lattice.child[edge])
+        return steps
+
+
+@njit(cache=True, nogil=True)
+def _take_removal(states, sources, edges, blockers, length, lower, upper):  # type: ignore[no-untyped-def]
+    """Lower `upper` where the removal is valid; whether `lower` had to follow."""
+    fell = False
+    for j in range(edges.shape[0]):
+        e = edges[j]
+        if upper[e] <= length:
+            continue
+        valid = True
+        for w in range(blockers.shape[0]):
+            if states[sources[j], w] & blockers[w]:
+                valid = False
+        if valid:
+            upper[e] = length
+            if lower[e] > length:
+                lower[e] = length
+                fell = True
+    return fell
+
+
+@njit(cache=True, nogil=True)
+def _take_closed(states, sources, edges, closed, cost, lower, upper):  # type: ignore[no-untyped-def]
+    for j in range(edges.shape[0]):
+        e = edges[j]
+        if lower[e] >= cost:
+            continue
+        superset = True
+        for w in range(closed.shape[0]):
+            if closed[w] & ~states[sources[j], w]:
+                superset = False
+        if superset:
+            lower[e] = max(lower[e], min(cost, upper[e]))

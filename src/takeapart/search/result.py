@@ -1,0 +1,92 @@
+"""What every search takes as its limits and gives back."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from takeapart.errors import InputError
+from takeapart.problem import Counts
+from takeapart.removal.result import Blocked, Removal
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When to stop, whichever comes first; a search is anytime and keeps the best sequence so far.
+
+    Args:
+        episodes: of the search (MCTS episodes, random restarts, rounds of the exact search).
+        seconds: wall time.
+        queries: removal queries.
+    """
+
+    episodes: float = math.inf
+    seconds: float = math.inf
+    queries: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("episodes", "seconds", "queries"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{getattr(self, name)}; must be above 0", f"budget.{name}")
+
+
+class Clock:
+    """Tells when a budget is spent. `stop` ends the search from outside, as Ctrl-C does."""
+
+    def __init__(self, budget: Budget, counts: Counts) -> None:
+        self.budget, self.counts = budget, counts
+        self.started, self.first_query, self.episodes = time.monotonic(), counts.removal_queries, 0
+        self.stop = False
+
+    @property
+    def seconds(self) -> float:
+        return time.monotonic() - self.started
+
+    @property
+    def queries(self) -> int:
+        return self.counts.removal_queries - self.first_query
+
+    def spent(self) -> bool:
+        return (
+            self.stop
+            or self.episodes >= self.budget.episodes
+            or self.queries >= self.budget.queries
+            or self.seconds >= self.budget.seconds
+        )
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A sign of life of a running search, for progress bars and logs. Lengths in m, infinite where not known."""
+
+    episode: int
+    length: float
+    bound: float
+    queries: int
+    seconds: float
+
+
+ProgressListener = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """The best sequence that a search found.
+
+    Args:
+        removals: in the order of execution; empty if no sequence to the goal was found.
+        length: sum of their lengths, m; infinite if none was found.
+        sequence_bound: no order is shorter for the edge costs known, m; None where the search gives none.
+        refusals: where the search found no sequence, what blocked it: per dead end its state and refusals.
+        statistics: numbers for tables ("initial_length", "found_episode", "found_step", ...).
+        interrupted: stopped by Ctrl-C.
+    """
+
+    removals: tuple[Removal, ...]
+    length: float
+    sequence_bound: float | None = None
+    refusals: tuple[tuple[int, tuple[Blocked, ...]], ...] = ()
+    statistics: dict[str, float] = field(default_factory=dict)
+    interrupted: bool = False

@@ -1,0 +1,135 @@
+"""Which parts may go without another one falling: one replaceable predicate over masks.
+
+Fixed parts stand in no state, and therefore in no mask here: what they carry is carried for ever.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from takeapart.assembly import Assembly, Connector, members
+from takeapart.errors import InputError
+
+STEEPEST_IN_PLANE = np.cos(np.pi / 4)  # |cosine| to the vertical above which a bar counts as being along z
+SAME_LENGTH = 1e-9  # m; edges closer than this are equally long
+
+
+class Stability(Protocol):
+    """What the planner asks about gravity."""
+
+    def needs(self, part: int) -> int:
+        """State of the removable parts that must be there as long as the part is."""
+        ...
+
+    def free(self, state: int) -> int:
+        """State of the parts whose removal leaves every other part of `state` what it needs."""
+        ...
+
+    def dependents(self, part: int, state: int) -> int:
+        """State of the parts of `state` that would fall if the part left."""
+        ...
+
+
+class ConnectorStability:
+    """Stability of profile assemblies by their connectors.
+
+    A bar in the plane needs the hosts of all connectors that carry it; a bar along z needs those at its bottom only,
+    because the ones at its top leave upwards before it.
+    """
+
+    def __init__(self, assembly: Assembly) -> None:
+        self._needs = [assembly.state_of(_carriers(assembly, i)) & assembly.root for i in range(len(assembly.parts))]
+        self._dependents = [
+            sum(1 << i for i in members(assembly.root) if self._needs[i] >> part & 1)
+            for part in range(len(assembly.parts))
+        ]
+
+    def needs(self, part: int) -> int:
+        """State of the removable parts that must be there as long as the part is."""
+        return self._needs[part]
+
+    def free(self, state: int) -> int:
+        """State of the parts whose removal leaves every other part of `state` what it needs."""
+        needed = 0
+        for part in members(state):
+            needed |= self._needs[part]
+        return state & ~needed
+
+    def dependents(self, part: int, state: int) -> int:
+        """State of the parts of `state` that would fall if the part left."""
+        return self._dependents[part] & state
+
+
+def unsupported(assembly: Assembly) -> tuple[str, ...]:
+    """Names of the parts that float in the full assembly, in part order.
+
+    A fixed part is carried. A part with connectors as guest is carried if all hosts that it needs are; one without, if
+    it hosts a connector above a bar along z that is carried (it lies on that bar). A bar along z needs a host at its
+    bottom. Parts that carry only each other float.
+    """
+    carried = {part.name for part in assembly.parts if part.fixed}
+    while True:
+        more = {
+            part.name
+            for i, part in enumerate(assembly.parts)
+            if part.name not in carried and _rests(assembly, i, carried)
+        }
+        if not more:
+            return tuple(part.name for part in assembly.parts if part.name not in carried)
+        carried |= more
+
+
+def require_support(assembly: Assembly) -> None:
+    """Refuses an assembly with floating parts.
+
+    Raises:
+        InputError: names the first part that nothing carries, and what would carry it.
+    """
+    floating = unsupported(assembly)
+    if floating:
+        rest = f" (and {len(floating) - 1} more)" if len(floating) > 1 else ""
+        raise InputError(
+            f"part {floating[0]!r} floats: nothing carries it{rest}; it needs a connector as guest, "
+            "or must lie on a bar along z that its own connector holds, or be fixed",
+            f"{assembly.name}: parts",
+        )
+
+
+def _rests(assembly: Assembly, i: int, carried: set[str]) -> bool:
+    name = assembly.parts[i].name
+    needed = _carriers(assembly, i)
+    if needed:
+        return carried.issuperset(needed)
+    if _along_z(assembly, i):
+        return False
+    return any(
+        connector.guest in carried and _above_centre(assembly, connector)
+        for connector in assembly.connectors
+        if connector.host == name and connector.kind == "O" and _along_z(assembly, assembly.index[connector.guest])
+    )
+
+
+def _carriers(assembly: Assembly, i: int) -> list[str]:
+    """Names of the hosts that part i needs, fixed ones included."""
+    held = [connector for connector in assembly.connectors if connector.guest == assembly.parts[i].name]
+    if _along_z(assembly, i):
+        held = [connector for connector in held if not _above_centre(assembly, connector)]
+    return [connector.host for connector in held]
+
+
+def _along_z(assembly: Assembly, i: int) -> bool:
+    """Whether the one longest axis of a part is closer to the vertical than to the plane; a part without one is not."""
+    part = assembly.parts[i]
+    box = part.shape.bounding_box().moved(part.T_world_part)
+    longest = np.nonzero(box.half_extents >= box.half_extents.max() - SAME_LENGTH / 2)[0]
+    return len(longest) == 1 and bool(abs(box.T_frame_box[2, longest[0]]) > STEEPEST_IN_PLANE)
+
+
+def _above_centre(assembly: Assembly, connector: Connector) -> bool:
+    """Whether a connector sits above the middle of its guest."""
+    T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part
+    height = np.mean([(T_world_host @ wall.T_frame_box)[2, 3] for wall in connector.walls])
+    guest = assembly.parts[assembly.index[connector.guest]]
+    return bool(height > (guest.T_world_part @ guest.shape.bounding_box().T_frame_box)[2, 3])

@@ -1,0 +1,226 @@
+"""The verifier's own world: arm, hand, assembly and environment as a MuJoCo model.
+
+The arm comes from its URDF with the collision meshes as they are (MuJoCo takes the convex hull of each mesh). Every
+part exists twice: as a static body in the assembly, and as a body on the hand; at any time at most one of them takes
+part in collisions. Nothing here is shared with the planner's kinematics or collision code.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from takeapart.assembly import Assembly
+from takeapart.errors import MissingExtraError
+from takeapart.geometry import Array, OrientedBox, pose_inverse, quaternion_from_rotation
+from takeapart.workcell import RobotDescription, Workcell
+
+try:
+    import mujoco as mujoco  # verification_physics takes it from here
+except ImportError as missing:
+    raise MissingExtraError("verification", "verify", "mujoco") from missing
+
+# (contype, conaffinity): two geoms are tested if a bit of one's contype is in the other's conaffinity. Static things
+# are never tested against each other; the held part is tested against static things and the arm.
+ROBOT_BITS = (1, 1 | 2 | 4)
+STATIC_BITS = (2, 0)
+HELD_BITS = (4, 2)
+ABSENT_BITS = (0, 0)
+
+
+def robot_specification(description: RobotDescription) -> mujoco.MjSpec:
+    """Editable model of the robot from its URDF: collision geometry only, every link kept as a body."""
+    text = description.path(description.urdf).read_text(encoding="utf-8")
+    text = re.sub(r"<visual>.*?</visual>", "", text, flags=re.DOTALL)
+    text = re.sub(r'filename="(package://[^"]+)"', lambda found: f'filename="{description.resolve(found[1])}"', text)
+    # MuJoCo's defaults for URDF do not fit: fusestatic would merge the hand into the last arm link, strippath would
+    # drop the folders of the meshes, discardvisual would drop the parts that are not in the hand at the start.
+    compiler = '<compiler fusestatic="false" strippath="false" discardvisual="false" balanceinertia="true"/>'
+    return mujoco.MjSpec.from_string(text.replace("</robot>", f"<mujoco>{compiler}</mujoco></robot>"))
+
+
+def disabled_pairs(description: RobotDescription) -> list[tuple[str, str]]:
+    """Pairs of links that the robot's SRDF excludes from collision checks."""
+    root = ElementTree.fromstring(description.path(description.srdf).read_text(encoding="utf-8"))
+    return [(pair.attrib["link1"], pair.attrib["link2"]) for pair in root.iter("disable_collisions")]
+
+
+def add_box(body: mujoco.MjsBody, box: OrientedBox, bits: tuple[int, int], margin: float = 0.0) -> mujoco.MjsGeom:
+    """Adds one box, given in the body's frame."""
+    return body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=box.half_extents,
+        pos=box.T_frame_box[:3, 3],
+        quat=quaternion_from_rotation(box.T_frame_box[:3, :3]),
+        contype=bits[0],
+        conaffinity=bits[1],
+        margin=margin,
+    )
+
+
+def place_body(body: mujoco.MjsBody, T_parent_body: Array) -> None:
+    """Sets the pose (4, 4) of a body in its parent."""
+    body.pos = T_parent_body[:3, 3]
+    body.quat = quaternion_from_rotation(T_parent_body[:3, :3])
+
+
+class Scene:
+    """Arm, hand, assembly and environment; answers where the tool is and what is close to what.
+
+    Args:
+        sight: pairs closer than this are seen by `near`, m.
+    """
+
+    def __init__(self, assembly: Assembly, workcell: Workcell, sight: float) -> None:
+        self.assembly = assembly
+        self.workcell = workcell
+        self.sight = sight
+        self.description = workcell.description
+        self.model = self._compile()
+        self.data = mujoco.MjData(self.model)
+        model = self.model
+        joints = [model.joint(name) for name in self.description.arm_joints]
+        self._arm = np.array([model.jnt_qposadr[joint.id] for joint in joints])
+        self._fingers = np.array([model.jnt_qposadr[model.joint(name).id] for name in self.description.finger_joints])
+        self.joint_limits: Array = np.array([model.jnt_range[joint.id] for joint in joints])  # (n, 2) rad
+        self._hand = model.body(self.description.hand_links[0]).id
+        self.static_bodies = [model.body(f"part/{part.name}").id for part in assembly.parts]
+        self.held_bodies = [-1 if part.fixed else int(model.body(f"held/{part.name}").id) for part in assembly.parts]
+        self.held: int | None = None
+        self.show(assembly.root, None)
+        self.place(workcell.home)
+
+    def _compile(self) -> mujoco.MjModel:
+        specification = robot_specification(self.description)
+        # By default MuJoCo never tests a body against its parent; here only the robot's SRDF decides.
+        specification.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+        place_body(specification.body(self.description.base_link), self.workcell.T_world_base)
+        for body in specification.bodies:
+            for geom in body.geoms:
+                geom.contype, geom.conaffinity = ROBOT_BITS
+                geom.margin = self.sight
+        for first, second in disabled_pairs(self.description):
+            specification.add_exclude(bodyname1=first, bodyname2=second)
+        hand = specification.body(self.description.hand_links[0])
+        for i, part in enumerate(self.assembly.parts):
+            static = specification.worldbody.add_body(name=f"part/{part.name}")
+            place_body(static, part.T_world_part)
+            for box in self.assembly.body(i):
+                add_box(static, box, STATIC_BITS)
+            if part.fixed:
+                continue
+            held = hand.add_body(name=f"held/{part.name}")
+            for box in self.assembly.body(i):
+                add_box(held, box, ABSENT_BITS, self.sight)
+            # The fingers do not move relative to the held part: `check_fingers` looks at them once per step.
+            for finger in self.description.finger_links:
+                specification.add_exclude(bodyname1=finger, bodyname2=f"held/{part.name}")
+        for obstacle in self.workcell.environment:
+            body = specification.worldbody.add_body(name=f"environment/{obstacle.name}")
+            add_box(body, obstacle.box, STATIC_BITS)
+        return specification.compile()
+
+    def label(self, geom: int) -> str:
+        """Name of the body of a geom: a link, ``part/NAME``, ``held/NAME`` or ``environment/NAME``."""
+        return str(self.model.body(self.model.geom_bodyid[geom]).name)
+
+    def geoms(self, body: int | str) -> list[int]:
+        """Numbers of the geoms of a body."""
+        number = body if isinstance(body, int) else int(self.model.body(body).id)
+        first = int(self.model.body_geomadr[number])
+        return list(range(first, first + int(self.model.body_geomnum[number])))
+
+    def show(self, state: int, held: int | None) -> None:
+        """Lets exactly the parts of a state and the fixed parts stand in the assembly, and one part be in the hand."""
+        for i, part in enumerate(self.assembly.parts):
+            present = part.fixed or bool(state >> i & 1 and i != held)
+            self._set_bits(self.static_bodies[i], STATIC_BITS if present else ABSENT_BITS)
+            if not part.fixed:
+                self._set_bits(self.held_bodies[i], HELD_BITS if i == held else ABSENT_BITS)
+        self.held = held
+
+    def _set_bits(self, body: int, bits: tuple[int, int]) -> None:
+        geoms = self.geoms(body)
+        self.model.geom_contype[geoms], self.model.geom_conaffinity[geoms] = bits
+        self.model.body_contype[body], self.model.body_conaffinity[body] = bits  # the broad phase reads these
+
+    def grip(self, T_tool_part: Array, width: float) -> None:
+        """Fastens the held part to the hand and opens the fingers to a width, m."""
+        if self.held is not None:
+            T_hand_part = np.array(T_tool_part)
+            T_hand_part[:3, 3] += self.description.T_hand_tool
+            body = self.held_bodies[self.held]
+            self.model.body_pos[body] = T_hand_part[:3, 3]
+            self.model.body_quat[body] = quaternion_from_rotation(T_hand_part[:3, :3])
+        self.data.qpos[self._fingers] = width / 2
+
+    def place(self, configuration: Array) -> None:
+        """Moves the arm to joint angles (n,), rad."""
+        self.data.qpos[self._arm] = configuration
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def tool(self) -> tuple[Array, Array]:
+        """Position (3,), m, and rotation (3, 3) of the tool frame in the world."""
+        R = self.data.xmat[self._hand].reshape(3, 3).copy()
+        return self.data.xpos[self._hand] + R @ np.array(self.description.T_hand_tool), R
+
+    def near(self) -> tuple[NDArray[np.intp], Array]:
+        """Pairs of geoms (k, 2) that stand closer than the sight, with the distance (k,) of their contact points, m.
+
+        A pair may occur several times. Penetration is exact in the deepest contact of a pair; the distance between
+        separate boxes may be off by 0.3 mm, so call `distance` before judging it."""
+        mujoco.mj_collision(self.model, self.data)
+        if self.data.ncon == 0:
+            return np.empty((0, 2), dtype=np.intp), np.empty(0)
+        return self.data.contact.geom.astype(np.intp), self.data.contact.dist.copy()
+
+    def distance(self, first: int, second: int, limit: float = 1.0) -> float:
+        """Distance of two geoms, m, negative if they penetrate; at most the limit."""
+        return float(mujoco.mj_geomDistance(self.model, self.data, first, second, limit, None))
+
+    def touching_at_start(self, reach: float) -> dict[tuple[int, int], float]:
+        """Distances, m, of all pairs of geoms of different parts, or part and obstacle, closer than `reach` in the
+        finished assembly; keys (a, b) in both orders. Static bodies only, so the arm does not matter."""
+        obstacles = [int(self.model.body(f"environment/{o.name}").id) for o in self.workcell.environment]
+        bodies = [*self.static_bodies, *obstacles]
+        geoms = np.array([geom for body in bodies for geom in self.geoms(body)])
+        owner = self.model.geom_bodyid[geoms]
+        obstacle = owner > max(self.static_bodies)
+        R = self.data.geom_xmat[geoms].reshape(-1, 3, 3)
+        half = np.einsum("nij,nj->ni", np.abs(R), self.model.geom_size[geoms])
+        lower, upper = self.data.geom_xpos[geoms] - half, self.data.geom_xpos[geoms] + half
+        found: dict[tuple[int, int], float] = {}
+        for a in range(len(geoms)):
+            close = (lower[a] < upper + reach).all(axis=1) & (lower < upper[a] + reach).all(axis=1)
+            close &= (owner != owner[a]) & ~(obstacle & obstacle[a])
+            for b in np.nonzero(close)[0]:
+                first, second = int(geoms[a]), int(geoms[b])
+                if first < second:
+                    distance = self.distance(first, second, 2 * reach)
+                    if distance < reach:
+                        found[first, second] = found[second, first] = distance
+        return found
+
+    def misplaced(self, tolerance: float) -> list[tuple[str, str, float]]:
+        """Things that overlap before anything moves, by more than the tolerance, m: the robot's base link in a part, a
+        removable part in an obstacle. Fixed parts may be let into obstacles, the base may stand on them."""
+        base = self.geoms(self.description.base_link)
+        parts = [geom for body in self.static_bodies for geom in self.geoms(body)]
+        free = [
+            geom
+            for body, part in zip(self.static_bodies, self.assembly.parts, strict=True)
+            for geom in self.geoms(body)
+            if not part.fixed
+        ]
+        obstacles = [geom for o in self.workcell.environment for geom in self.geoms(f"environment/{o.name}")]
+        pairs = [(a, b) for a in base for b in parts] + [(a, b) for a in free for b in obstacles]
+        found = [(self.label(a), self.label(b), -self.distance(a, b)) for a, b in pairs]
+        return [(first, second, depth) for first, second, depth in found if depth > tolerance]
+
+
+def part_in_tool(T_world_tool: Array, T_world_part: Array) -> Array:
+    """Pose (4, 4) of a part in the tool frame."""
+    return pose_inverse(T_world_tool) @ T_world_part

@@ -1,0 +1,549 @@
+"""The command line as a user meets it: exit codes, one line for every error, and nothing half written."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+from example_documents import snapshot
+from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
+from verification_scene import scene_plan
+
+import takeapart
+from takeapart import cli_compile, cli_generate, cli_plan, files, planning, profiles
+from takeapart.assembly import Assembly
+from takeapart.cli import main
+from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.robot import kernels
+from takeapart.robot.compilation import is_compiled
+
+SOURCE = Path(takeapart.__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the user stands: assemblies, a workcell, and the output of an earlier run."""
+    for assembly in (two_bars(), three_bars(), deadlock(), floating()):
+        save_assembly(assembly, tmp_path / f"{assembly.name}.json")
+    (tmp_path / "cell.toml").write_text(WORKCELL)
+    (tmp_path / "old.json").write_text("an earlier plan")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments: str) -> Result:
+    result = CliRunner().invoke(main, arguments)
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def plan(assembly: str, *arguments: str) -> Result:
+    return run("plan", assembly, "--workcell", "cell.toml", *arguments)
+
+
+def edited(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def empty(folder: Path) -> None:
+    (folder / "two-bars.json").write_text("")
+
+
+def truncated(folder: Path) -> None:
+    text = (folder / "two-bars.json").read_text()
+    (folder / "two-bars.json").write_text(text[: len(text) // 2])
+
+
+def wrong_version(folder: Path) -> None:
+    edited(folder / "two-bars.json", '"version": 1', '"version": 2')
+
+
+def floating_part(folder: Path) -> None:
+    (folder / "floating.json").rename(folder / "two-bars.json")
+
+
+def overlapping_parts(folder: Path) -> None:
+    document = json.loads((folder / "two-bars.json").read_text())
+    document["parts"][-1]["pose"]["position"][0] += 0.005
+    (folder / "two-bars.json").write_text(json.dumps(document))
+
+
+def no_file(folder: Path) -> None:
+    (folder / "two-bars.json").unlink()
+
+
+def another_format(folder: Path) -> None:
+    save_plan(scene_plan(), folder / "two-bars.json")
+
+
+def unknown_robot(folder: Path) -> None:
+    edited(folder / "cell.toml", 'model = "panda"', 'model = "pandora"')
+
+
+def bad_goal(folder: Path) -> None:
+    edited(folder / "cell.toml", "goal = [-0.05, -0.30, 0.42]", "goal = [-0.05, nan, 0.42]")
+
+
+def no_workcell(folder: Path) -> None:
+    (folder / "cell.toml").unlink()
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (empty, "two-bars.json: the file is empty"),
+        (truncated, "two-bars.json: not valid JSON: it ends too early"),
+        (wrong_version, "two-bars.json: version: version 2; this release reads version 1"),
+        (floating_part, "floating: parts: part 'stub' floats: nothing carries it"),
+        (overlapping_parts, "two-bars.json: parts: parts 'beam' and 'stub' overlap by 4.00 mm"),
+        (no_file, "two-bars.json: there is no such file"),
+        (another_format, "two-bars.json: format: format 'takeapart/plan'; must be 'takeapart/assembly'"),
+        (unknown_robot, "cell.toml: robot.model: unknown robot 'pandora'; valid: panda"),
+        (bad_goal, "cell.toml: goal[1]: nan; must be a finite number"),
+        (no_workcell, "cell.toml: there is no such file"),
+    ],
+)
+@pytest.mark.parametrize("command", ["plan", "explain"])
+def test_broken_input_is_one_line_and_touches_nothing(folder: Path, command: str, damage: Any, message: str) -> None:
+    damage(folder)
+    before = snapshot(folder)
+    output = ["--out", "old.json"] if command == "plan" else []
+    result = run(command, "two-bars.json", "--workcell", "cell.toml", *output)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+    assert snapshot(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["plan"], "Missing argument 'ASSEMBLY' (see: takeapart plan --help)"),
+        (["plan", "two-bars.json", "--search", "best"], "Invalid value for '--search': 'best' is not one of"),
+        (["plan", "two-bars.json", "--seconds", "0"], "Invalid value for '--seconds'"),
+        (["plan", "two-bars.json", "--seconds", "nan"], "budget.seconds: nan; must be above 0"),
+        (["plan", "two-bars.json", "--memory", "paper"], "--memory goes with --search mcts only, not with exact"),
+        (["plan", "two-bars.json", "--search", "mcts", "--workers", "2"], "--workers goes with --search exact only"),
+        (
+            ["plan", "two-bars.json", "--workcell", "ur5"],
+            "unknown workcell 'ur5'; valid: a path that ends in .toml, panda",
+        ),
+        (["plan", "two-bars.json", "--out", "two-bars.json"], "two-bars.json: is an input of this command"),
+        (
+            ["plan", "two-bars.json", "--out", "nowhere/plan.json"],
+            "nowhere/plan.json: cannot be written: there is no folder",
+        ),
+        (["plan", "two-bars.json", "--out", "."], "cannot be written: it is a folder"),
+        (
+            ["explain", "two-bars.json", "--without", "bean"],
+            "unknown part 'bean'; valid: beam, front, left, right, stub",
+        ),
+        (["explain", "two-bars.json", "--without", "left"], "--without: part 'left' is fixed"),
+        (["show", "nothing"], "nothing: there is no such file, and no shipped workcell of this name"),
+        (["show", "old.json"], "old.json: not valid JSON"),
+        (["assemble", "two-bars.json", "--out", "x.json"], "two-bars.json: format: format 'takeapart/assembly'"),
+        (["verify", "two-bars.json"], "two-bars.json: format: format 'takeapart/assembly'"),
+        (["generate", "--spacing", "0.01"], "options.spacing: 0.01 m; must be from"),
+        (["generate", "--layers", "9"], "options.height"),
+        (["generate", "--out", "old.json"], "old.json: the folder cannot be made"),
+        (["frobnicate"], "No such command 'frobnicate' (see: takeapart --help)"),
+    ],
+)
+def test_misuse_is_one_line_and_touches_nothing(folder: Path, arguments: list[str], message: str) -> None:
+    before = snapshot(folder)
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
+    assert message in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert snapshot(folder) == before
+
+
+def test_a_real_process_fails_without_a_traceback(folder: Path) -> None:
+    (folder / "empty.json").write_text("")
+    done = subprocess.run(
+        [sys.executable, "-m", "takeapart", "plan", "empty.json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(SOURCE)},
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "error: empty.json: the file is empty\n")
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom takeapart.cli import main\ntry:\n    main(['plan', '--help'])\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'numpy', 'numba', 'mujoco', 'ssik', 'pydantic', 'rich', 'torch'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(SOURCE)},
+    )
+    assert done.stdout.endswith("[]\n")
+
+
+def test_every_option_is_explained() -> None:
+    context = click.Context(main)
+    for name in main.list_commands(context):
+        command = main.get_command(context, name)
+        assert command is not None
+        text = run(name, "--help").stdout
+        assert command.short_help and command.help
+        for parameter in command.params:
+            if isinstance(parameter, click.Option):
+                assert parameter.help, f"{name} {parameter.name}"
+                assert all(option in text for option in parameter.opts)
+            else:
+                assert parameter.name is not None
+                assert parameter.name.upper() in text
+    assert all(name in run("--help").stdout for name in main.list_commands(context))
+
+
+def test_no_command_prints_the_help() -> None:
+    assert run().stdout == run("--help").stdout
+
+
+def test_the_version() -> None:
+    assert takeapart.__version__ in run("--version").stdout
+
+
+def test_the_searches_offered_are_those_of_the_library() -> None:
+    assert cli_plan.SEARCHES == planning.SEARCHES
+
+
+def test_plan_writes_and_prints(folder: Path) -> None:
+    result = plan("three-bars.json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    made = load_plan("three-bars.plan.json")
+    assert sorted(step.part for step in made.steps) == ["beam", "rear", "stub"]
+    for step in made.steps:
+        assert re.search(rf"{step.part} +{step.length:.3f} m", result.stdout)
+    assert f"{made.total_length:.3f} m" in result.stdout
+    assert "proved gap" in result.stdout
+    assert "sequence gap 0.0%" in result.stdout
+    assert "\x1b" not in result.stdout
+
+
+def test_the_same_seed_gives_the_same_file(folder: Path) -> None:
+    texts = []
+    for out in ("first.json", "old.json"):  # the second replaces what was there
+        assert (
+            plan("three-bars.json", "--search", "mcts", "--episodes", "3", "--seed", "5", "--out", out).exit_code == 0
+        )
+        texts.append(re.sub(r'"seconds": [^,]*,', "", Path(out).read_text()))
+    assert texts[0] == texts[1]
+    assert len(texts[0]) > 1000
+
+
+def test_plan_for_machines(folder: Path) -> None:
+    result = plan("two-bars.json", "--json", "--search", "greedy")
+    document = json.loads(result.stdout)
+    assert document["feasible"] is True
+    assert [entry["part"] for entry in document["order"]] == ["stub", "beam"]
+    assert document["total_length"] == pytest.approx(load_plan(document["file"]).total_length)
+    bound = document["straight_line_bound"]
+    assert document["proved_gap"] == pytest.approx((document["total_length"] - bound) / bound)
+    assert document["sequence_gap"] is None
+
+
+def test_no_feasible_order(folder: Path) -> None:
+    before = snapshot(folder)
+    result = plan("deadlock.json", "--out", "old.json")
+    assert result.exit_code == 3
+    assert result.stderr.count("\n") == 1
+    assert "stub: cannot be lifted (stage lift, blocked by beam)" in result.stderr
+    assert "beam: others would fall (stage stability, blocked by stub)" in result.stderr
+    assert result.stdout == ""
+    assert snapshot(folder) == before
+
+
+def test_no_feasible_order_for_machines(folder: Path) -> None:
+    result = plan("deadlock.json", "--json")
+    document = json.loads(result.stdout)
+    assert result.exit_code == 3
+    assert (document["feasible"], document["proved"]) == (False, True)
+    assert {"part": "stub", "stage": "lift", "blamed": ["beam"]} in document["hindrances"]
+
+
+def test_a_goal_out_of_reach(folder: Path) -> None:
+    edited(folder / "cell.toml", "goal = [-0.05, -0.30, 0.42]", "goal = [3.0, 0.0, 0.42]")
+    before = snapshot(folder)
+    result = plan("two-bars.json", "--out", "old.json")
+    assert result.exit_code == 3
+    assert re.search(r"stub: .*\(stage (ik|path)", result.stderr)
+    assert result.stderr.count("\n") == 1
+    assert snapshot(folder) == before
+
+
+def interrupt_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C at the given call of the removal planner."""
+    original, calls = RemovalPlanner.plan, itertools.count(1)
+
+    def interrupted(self: RemovalPlanner, *arguments: Any, **keywords: Any) -> Any:
+        if next(calls) == call:
+            raise KeyboardInterrupt
+        return original(self, *arguments, **keywords)
+
+    monkeypatch.setattr(RemovalPlanner, "plan", interrupted)
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_an_interrupt_keeps_the_best_plan_so_far(folder: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool) -> None:
+    interrupt_at(3, monkeypatch)  # expansion and simulation of the first iteration gave a whole sequence
+    result = plan("two-bars.json", "--search", "mcts", "--memory", "paper", "--out", "old.json", *["--json"] * as_json)
+    assert result.exit_code == 0
+    assert result.stderr == "interrupted; the best plan so far was written to old.json\n"
+    assert [step.part for step in load_plan("old.json").steps] == ["stub", "beam"]
+    if as_json:
+        assert json.loads(result.stdout)["interrupted"] is True
+
+
+@pytest.mark.parametrize("search", planning.SEARCHES)
+def test_an_interrupt_before_any_plan_leaves_nothing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, search: str
+) -> None:
+    interrupt_at(2, monkeypatch)
+    before = snapshot(folder)
+    result = plan("three-bars.json", "--search", search, "--out", "old.json")
+    assert result.exit_code == 130
+    assert result.stderr == "interrupted before any plan was found; nothing was written\n"
+    assert snapshot(folder) == before
+
+
+def test_an_interrupt_outside_of_the_search(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(path: object) -> Assembly:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(files, "load_assembly", interrupted)
+    result = plan("two-bars.json")
+    assert result.exit_code == 130
+    assert result.stderr.strip().startswith("error: interrupted")
+
+
+def test_assembling_twice_gives_the_original(folder: Path) -> None:
+    save_plan(scene_plan(), "plan.json")
+    assert run("assemble", "plan.json", "--out", "up.json").exit_code == 0
+    assert run("assemble", "up.json", "--out", "down.json", "--json").exit_code == 0
+    up, down = load_plan("up.json"), load_plan("down.json")
+    assert (up.direction, down.direction) == ("assembly", "disassembly")
+    assert [step.part for step in up.steps] == [step.part for step in scene_plan().steps][::-1]
+    assert (up.steps[0].joint_path == load_plan("plan.json").steps[-1].joint_path[::-1]).all()
+    assert Path("down.json").read_bytes() == Path("plan.json").read_bytes()
+
+
+def test_show_tells_files_apart(folder: Path) -> None:
+    save_plan(scene_plan(), "plan.json")
+    shown = {name: run("show", name) for name in ("plan.json", "three-bars.json", "cell.toml", "panda")}
+    assert all(result.exit_code == 0 for result in shown.values())
+    assert "disassembly of scene" in shown["plan.json"].stdout
+    assert re.search(r"rear +129 x 20 x 20 +0\.175 0\.000 0\.190 .*beam, back", shown["three-bars.json"].stdout)
+    assert "7 parts, 3 removable, 6 connectors" in shown["three-bars.json"].stdout
+    assert "workcell scene" in shown["cell.toml"].stdout
+    assert "pedestal" in shown["panda"].stdout
+
+
+def test_show_for_machines(folder: Path) -> None:
+    save_plan(scene_plan(), "plan.json")
+    for name, form in (("plan.json", "plan"), ("two-bars.json", "assembly"), ("panda", "workcell")):
+        assert json.loads(run("show", name, "--json").stdout)["format"] == f"takeapart/{form}"
+    document = json.loads(run("show", "plan.json", "--json").stdout)
+    assert [entry["part"] for entry in document["order"]] == ["stub", "beam", "loose"]
+
+
+def test_show_names_floating_parts(folder: Path) -> None:
+    assert "floating: stub" in run("show", "floating.json").stdout
+
+
+def test_show_a_plan_with_the_sizes_of_its_parts(folder: Path) -> None:
+    assert plan("two-bars.json").exit_code == 0
+    assert "129 x 20 x 20" in run("show", "two-bars.plan.json", "--assembly", "two-bars.json").stdout
+    assert "129 x 20 x 20" not in run("show", "two-bars.plan.json").stdout
+
+
+def explained(*arguments: str) -> dict[str, dict[str, Any]]:
+    result = run("explain", "three-bars.json", "--workcell", "cell.toml", "--json", *arguments)
+    assert result.exit_code == 0
+    return {entry["part"]: entry for entry in json.loads(result.stdout)["parts"]}
+
+
+def test_explain_names_what_blocks(folder: Path) -> None:
+    now = explained()
+    assert now["stub"]["removable"] and now["rear"]["removable"]
+    assert now["beam"] == {"part": "beam", "removable": False, "stage": "stability", "blamed": ["stub", "rear"]}
+    later = explained("--without", "stub", "--without", "rear")
+    assert list(later) == ["beam"]
+    assert later["beam"]["removable"]
+    assert later["beam"]["length"] > 0.05  # the lift alone
+
+
+def test_explain_for_people(folder: Path) -> None:
+    result = run("explain", "deadlock.json", "--workcell", "cell.toml")
+    assert result.exit_code == 0
+    assert re.search(r"stub +no +lift +beam\n", result.stdout)
+    assert "0 of 2 parts can leave now" in result.stdout
+
+
+def verified(*arguments: str) -> Result:
+    pytest.importorskip("mujoco")
+    return run("verify", "two-bars.plan.json", "--assembly", "two-bars.json", "--workcell", "cell.toml", *arguments)
+
+
+def test_verify_a_good_and_a_bad_plan(folder: Path) -> None:
+    assert plan("two-bars.json").exit_code == 0
+    good = verified("--report", "report.json")
+    assert (good.exit_code, good.stdout.split(":")[0]) == (0, "verified")
+    assert json.loads(Path("report.json").read_text())["passed"] is True
+    edited(folder / "two-bars.plan.json", '"width": 0.02', '"width": 0.03')
+    bad = verified("--report", "report.json", "--json")
+    assert bad.exit_code == 4
+    assert json.loads(bad.stdout) | {"seconds": 0} == json.loads(Path("report.json").read_text()) | {"seconds": 0}
+    assert {finding["check"] for finding in json.loads(bad.stdout)["findings"]} >= {"width"}
+    assert "not verified" in verified().stdout
+
+
+def test_verify_needs_the_assembly_and_the_workcell_of_the_plan(folder: Path) -> None:
+    pytest.importorskip("mujoco")
+    save_plan(scene_plan(), "plan.json")
+    lost = run("verify", "plan.json")
+    assert lost.exit_code == 2
+    assert "give it with --assembly FILE" in lost.stderr
+    lost = run("verify", "plan.json", "--assembly", "two-bars.json")
+    assert lost.exit_code == 2
+    assert "workcell 'scene' is not shipped; give it with --workcell" in lost.stderr
+    other = run("verify", "plan.json", "--assembly", "two-bars.json", "--workcell", "cell.toml")
+    assert other.exit_code == 4
+    assert "hash" in other.stdout
+
+
+def test_verify_without_mujoco_says_how_to_install_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_plan(scene_plan(), "plan.json")
+    for name in [name for name in sys.modules if name.startswith("takeapart.verification") or name == "mujoco"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr(takeapart, "verification", raising=False)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    result = run("verify", "plan.json")
+    assert result.exit_code == 2
+    assert "pip install 'takeapart[verify]'" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_demo_plans_and_verifies_the_shipped_assembly(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco")
+    shipped = files.data_path
+    stand_in = {"single/01.json": folder / "two-bars.json", "workcells": folder}
+    monkeypatch.setattr(files, "data_path", lambda name: stand_in.get(name) or shipped(name))
+    (folder / "cell.toml").rename(folder / "panda.toml")
+    result = run("demo", "--out", "new/demo", "--json")
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["verified"] is True
+    assert [step.part for step in load_plan("new/demo/plan.json").steps] == ["stub", "beam"]
+    assert "verified: two-bars in scene" in run("demo", "--out", "new/demo").stdout
+
+
+@pytest.fixture
+def finder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An order finder that refuses every other candidate without any planning."""
+
+    def order_finder(workcell: object, robot: object, seed: int, started: Any) -> profiles.OrderFinder:
+        asked = itertools.count(1)
+
+        def find(assembly: Assembly) -> tuple[str, ...] | str:
+            started()
+            return tuple(assembly.names(assembly.root)) if next(asked) % 2 == 0 else "no feasible order, stage path"
+
+        return find
+
+    monkeypatch.setattr(cli_generate, "_order_finder", order_finder)
+
+
+@pytest.mark.usefixtures("finder")
+def test_generate_numbers_its_files_and_counts_what_it_rejects(folder: Path) -> None:
+    result = run("generate", "--seed", "7", "--count", "2", "--out", "made/here", "--name", "single")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["made/here/01.json", "made/here/02.json"]
+    assert all("21 removable parts" in line and "no feasible order, stage path: 1" in line for line in lines)
+    second = load_assembly("made/here/02.json")
+    assert (second.name, second.provenance["seed"]) == ("single-02", 8)
+    again = run("generate", "--seed", "8", "--out", "again", "--name", "single", "--json")
+    document = json.loads(again.stdout)["files"][0]
+    assert sum(document["rejections"].values()) == document["candidate"]
+    first = (folder / "again/01.json").read_text().replace("single-01", "single-02")
+    assert first == (folder / "made/here/02.json").read_text()
+
+
+@pytest.mark.usefixtures("finder")
+def test_generate_gives_up_and_leaves_what_was_there(folder: Path) -> None:
+    (folder / "made").mkdir()
+    (folder / "made/01.json").write_text("an earlier assembly")
+    result = run("generate", "--candidates", "1", "--out", "made")
+    assert result.exit_code == 2
+    assert "no feasible assembly among 1 candidates" in result.stderr
+    assert (folder / "made/01.json").read_text() == "an earlier assembly"
+
+
+@pytest.mark.slow
+def test_generate_with_the_removal_planner(folder: Path) -> None:
+    result = run("generate", "--back", "1", "--front", "1", "--seed", "3", "--out", "made")
+    assert result.exit_code == 0, result.stderr
+    made = load_assembly("made/01.json")
+    assert sorted(made.witness) == sorted(part.name for part in made.parts if not part.fixed)
+    assert len(made.witness) == 16
+    check = run("explain", "made/01.json", "--json")  # the first part of the witness can leave now
+    assert {e["part"]: e["removable"] for e in json.loads(check.stdout)["parts"]}[made.witness[0]]
+
+
+def test_a_cold_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Cache:
+        cache_path = str(tmp_path)
+
+    class Kernel:
+        _cache = Cache()
+
+    module = ModuleType("takeapart.robot.example")
+    source = tmp_path / "example.py"
+    source.write_text("")
+    module.__file__ = str(source)
+    assert is_compiled(module)  # it has no kernels
+    vars(module)["kernel"] = Kernel()
+    assert not is_compiled(module)
+    index = tmp_path / "example.kernel-1.py311.nbi"
+    index.write_text("")
+    os.utime(index, (source.stat().st_atime, source.stat().st_mtime + 1))
+    assert is_compiled(module)
+    os.utime(index, (source.stat().st_atime, source.stat().st_mtime - 1))
+    assert not is_compiled(module)  # the source was changed since
+
+
+def test_kernels_are_found_in_numba_s_cache(folder: Path) -> None:
+    assert plan("two-bars.json").exit_code == 0  # compiles, or loads, what it needs
+    assert is_compiled(kernels)
+
+
+def test_the_notice_of_compiling(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from takeapart.robot import compilation
+
+    monkeypatch.setattr(compilation, "is_compiled", lambda module: False)
+    result = plan("two-bars.json")
+    assert result.exit_code == 0
+    assert result.stderr == f"{cli_compile.NOTICE}\n"

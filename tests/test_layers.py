@@ -1,0 +1,167 @@
+"""The import table of the design: a module imports only what stands above it.
+
+`plan.py` stands right after `assembly.py`: it is data only, and the result of a removal holds a grasp of it.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "src" / "takeapart"
+
+# From top to bottom. A name is a module or a package; one that ends in * stands for all modules that start so. Modules
+# that match the same name may import each other.
+LAYERS = """
+errors
+geometry
+assembly
+plan
+profile_layout
+profiles
+stability
+workcell
+robot
+motion
+removal
+problem
+search
+guide
+messages
+schemas
+documents
+serialization
+files
+planning
+verification*
+export*
+render*
+viewer*
+report*
+experiments
+benchmarks
+cli*
+""".split()
+
+# Where a library with a large footprint, or one that is an optional extra, may be imported.
+CONFINED = {
+    "mujoco": ("verification*",),
+    "torch": ("guide",),
+    "safetensors": ("guide",),
+    "polars": ("guide",),
+    "viser": ("viewer*",),
+    "yourdfpy": ("viewer*",),
+    "ssik": ("robot.ik",),
+    "pydantic": ("schemas",),
+    "pydantic_core": ("schemas", "messages"),
+    "click": ("cli*",),
+    "rich": ("cli*",),
+}
+
+# The verification shares no collision, kinematics, or rule with what it checks.
+FORBIDDEN_TO_VERIFICATION = ("robot", "motion", "removal", "stability", "problem", "search", "guide", "planning")
+
+
+def matches(module: str, pattern: str) -> bool:
+    """Whether a module (dotted, without the package's name) is what a name of the table stands for."""
+    if pattern.endswith("*"):
+        return module.split(".")[0].startswith(pattern[:-1])
+    return module == pattern or module.startswith(pattern + ".")
+
+
+def layer(module: str) -> int:
+    found = [i for i, pattern in enumerate(LAYERS) if matches(module, pattern)]
+    assert found, f"{module} stands in no layer: add it to the table of docs/design.md and of this test"
+    return found[0]
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported(source: str, module: str, is_package: bool = False) -> set[str]:
+    """Full dotted names of all imports, also those inside functions; ``from a import b`` counts as a and as a.b."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            here = f"takeapart.{module}".rstrip(".").split(".")
+            above = here[: len(here) - node.level + (1 if is_package else 0)] if node.level else []
+            start = ".".join([*above, *([node.module] if node.module else [])])
+            names |= {start} | {f"{start}.{alias.name}" for alias in node.names}
+    return names
+
+
+def findings(module: str, names: set[str], own_modules: set[str]) -> list[str]:
+    """What breaks the rules, one line each."""
+    own = {name.removeprefix("takeapart.") for name in names} & own_modules
+    found = []
+    if module and module != "__main__":
+        found = [
+            f"{module} imports {name}, which stands below it" for name in sorted(own) if layer(name) > layer(module)
+        ]
+    if matches(module, "verification*"):
+        found += [
+            f"{module} imports {name}, which it is there to check"
+            for name in sorted(own)
+            if any(matches(name, part) for part in FORBIDDEN_TO_VERIFICATION)
+        ]
+    for library in sorted({name.split(".")[0] for name in names} & set(CONFINED)):
+        if not any(matches(module, pattern) for pattern in CONFINED[library]):
+            found.append(f"{module} imports {library}; only {', '.join(CONFINED[library])} may")
+    return found
+
+
+SOURCES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+@pytest.mark.parametrize("module", [module for module in SOURCES if module not in ("", "__main__")])
+def test_module_imports_only_what_stands_above(module: str) -> None:
+    path = SOURCES[module]
+    names = imported(path.read_text(), module, path.name == "__init__.py")
+    assert findings(module, names, set(SOURCES)) == []
+
+
+def test_the_package_itself_imports_no_optional_library() -> None:
+    names = imported(SOURCES[""].read_text(), "", is_package=True)
+    assert not {name.split(".")[0] for name in names} & set(CONFINED)
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "message"),
+    [
+        ("geometry", "from takeapart.assembly import Part", "geometry imports assembly, which stands below it"),
+        ("geometry", "def f():\n    import takeapart.cli", "geometry imports cli, which stands below it"),
+        ("search.mcts", "from takeapart import planning", "search.mcts imports planning, which stands below it"),
+        ("search.mcts", "from ..guide import policy", "search.mcts imports guide.policy, which stands below it"),
+        (
+            "verification_replay",
+            "from takeapart.robot import ik",
+            "verification_replay imports robot.ik, which it is there to check",
+        ),
+        ("planning", "import mujoco.viewer", "planning imports mujoco; only verification* may"),
+        ("robot.kernels", "from ssik import x", "robot.kernels imports ssik; only robot.ik may"),
+    ],
+)
+def test_breaches_are_found(module: str, source: str, message: str) -> None:
+    modules = {"geometry", "assembly", "cli", "planning", "guide", "guide.policy", "robot", "robot.ik"}
+    assert message in findings(module, imported(source, module), modules)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("search.mcts", "from takeapart.search.result import Clock\nfrom . import bounds\nimport numpy"),
+        ("verification_replay", "import mujoco\nfrom takeapart.files import load_plan"),
+        ("robot.ik", "from ssik.prebuilt import franka_panda_ik"),
+        ("cli", "from takeapart import verification, planning"),
+    ],
+)
+def test_what_is_allowed_is_not_found(module: str, source: str) -> None:
+    modules = {"search.result", "search.bounds", "files", "verification", "planning"}
+    assert findings(module, imported(source, module), modules) == []

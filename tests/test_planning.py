@@ -1,0 +1,192 @@
+"""From an assembly to a plan, on assemblies of two and three bars."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_assemblies import deadlock, floating, three_bars, two_bars
+from verification_scene import scene_workcell
+
+from takeapart.errors import InputError, UnknownNameError
+from takeapart.plan import Plan
+from takeapart.planning import (
+    SEARCHES,
+    Hindrance,
+    Infeasible,
+    PlanningOptions,
+    build_problem,
+    explain,
+    plan,
+    plan_of,
+    search,
+)
+from takeapart.removal.result import Effort, Removal
+from takeapart.search.result import Budget
+from takeapart.serialization import assembly_hash, plan_document, workcell_hash
+
+OPTIONS = PlanningOptions(budget=Budget(episodes=20))
+
+
+@functools.cache
+def planned(name: str = "exact") -> Plan:
+    made = plan(three_bars(), scene_workcell(), replace(OPTIONS, search=name))  # type: ignore[arg-type]
+    assert isinstance(made, Plan), made
+    return made
+
+
+def straight_line_bounds() -> float:
+    """Written out anew: grasps every 2 cm from 3 cm off the first end, 5 cm up, then straight to the goal."""
+    total = 0.0
+    for middle, axis, length in (
+        ([0.1, 0, 0.19], 1, 0.299),
+        ([0.025, 0, 0.19], 0, 0.129),
+        ([0.175, 0, 0.19], 0, 0.129),
+    ):
+        distances = []
+        for k in range(int((length - 0.06) / 0.02 + 1e-6) + 1):
+            lifted = np.array(middle) + [0, 0, 0.05]
+            lifted[axis] += 0.03 + 0.02 * k - length / 2
+            distances.append(0.05 + float(np.linalg.norm(lifted - [-0.05, -0.30, 0.42])))
+        total += min(distances)
+    return total
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_every_search_gives_a_whole_plan(name: str) -> None:
+    made = planned(name)
+    assert sorted(step.part for step in made.steps) == ["beam", "rear", "stub"]
+    assert made.steps[-1].part == "beam"  # the stubs would fall without it
+    for step in made.steps:
+        moved = np.linalg.norm(np.diff(step.tool_path[:, :3], axis=0), axis=1).sum()
+        assert step.length == pytest.approx(moved, abs=1e-9)
+        assert step.tool_path[-1, :3] == pytest.approx(scene_workcell().goal, abs=1e-6)
+    assert made.total_length == pytest.approx(sum(step.length for step in made.steps))
+    assert made.straight_line_bound <= made.total_length
+    assert made.search["name"] == name
+
+
+def test_what_a_plan_states_about_itself() -> None:
+    made = planned()
+    assert made.straight_line_bound == pytest.approx(straight_line_bounds(), abs=1e-9)
+    assert made.hashes == {"assembly": assembly_hash(three_bars()), "workcell": workcell_hash(scene_workcell())}
+    assert (made.assembly, made.workcell, made.direction) == ("three-bars", "scene", "disassembly")
+    assert made.counts["removal_queries"] >= 3
+    assert "takeapart" in made.versions
+
+
+def test_the_plan_holds_before_the_independent_verification() -> None:
+    verification = pytest.importorskip("takeapart.verification")
+    report = verification.verify_plan(planned(), three_bars(), scene_workcell())
+    assert [verification.format_finding(finding) for finding in report.findings] == []
+    assert report.steps == 3
+
+
+def test_exact_search_is_as_short_as_the_best_of_all_orders() -> None:
+    assembly = three_bars()
+    problem = build_problem(assembly, scene_workcell(), OPTIONS)
+    result = search(problem, OPTIONS)
+    lengths = []
+    for order in itertools.permutations(["stub", "rear", "beam"]):
+        state, total = assembly.root, 0.0
+        for name in order:
+            answer = problem.remove(state, assembly.index[name], Effort())
+            total += answer.length if isinstance(answer, Removal) else math.inf
+            state &= ~(1 << assembly.index[name])
+        lengths.append(total)
+    assert result.length == pytest.approx(min(lengths), abs=1e-9)
+    assert result.sequence_bound == pytest.approx(result.length, abs=1e-9)
+    assert sum(math.isfinite(length) for length in lengths) == 2
+
+
+@pytest.mark.parametrize("name", ["exact", "mcts"])
+def test_the_same_seed_gives_the_same_plan(name: str) -> None:
+    again = plan(three_bars(), scene_workcell(), replace(OPTIONS, search=name))  # type: ignore[arg-type]
+    assert isinstance(again, Plan)
+    documents = [plan_document(replace(made, seconds=0.0)) for made in (planned(name), again)]
+    assert documents[0] == documents[1]
+
+
+def test_threads_do_not_change_the_plan() -> None:
+    options = replace(OPTIONS, exact=replace(OPTIONS.exact, workers=2))
+    again = plan(three_bars(), scene_workcell(), options)
+    assert isinstance(again, Plan)
+    assert plan_document(replace(again, seconds=0.0)) == plan_document(replace(planned(), seconds=0.0))
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_no_feasible_order(name: str) -> None:
+    made = plan(deadlock(), scene_workcell(), replace(OPTIONS, search=name))  # type: ignore[arg-type]
+    assert isinstance(made, Infeasible)
+    assert made.proved
+    assert made.remaining == ("beam", "stub")
+    assert set(made.hindrances) == {
+        Hindrance("beam", "stability", ("stub",)),
+        Hindrance("stub", "lift", ("beam",)),
+    }
+    assert "stub: cannot be lifted (stage lift, blocked by beam)" in str(made)
+    assert "\n" not in str(made)
+
+
+def test_a_goal_out_of_reach() -> None:
+    workcell = replace(scene_workcell(), goal=np.array([3.0, 0.0, 0.4]))
+    made = plan(two_bars(), workcell, OPTIONS)
+    assert isinstance(made, Infeasible)
+    stages = {hindrance.part: hindrance.stage for hindrance in made.hindrances}
+    assert stages["stub"] in ("ik", "path")
+    assert stages["beam"] == "stability"
+
+
+def test_a_part_out_of_reach() -> None:
+    """With all others fixed, there is nobody to blame."""
+    small = two_bars()
+    alone = replace(small, parts=tuple(replace(part, fixed=part.name != "stub") for part in small.parts))
+    base = scene_workcell().T_world_base.copy()
+    base[0, 3] = -3.0
+    made = plan(alone, replace(scene_workcell(), T_world_base=base), OPTIONS)
+    assert isinstance(made, Infeasible)
+    assert made.hindrances == (Hindrance("stub", "ik", ()),)
+    assert str(made).endswith("stub: is out of the arm's reach (stage ik)")
+
+
+def test_a_budget_that_ran_out_proves_nothing() -> None:
+    made = plan(three_bars(), scene_workcell(), replace(OPTIONS, search="random", budget=Budget(queries=1)))
+    assert isinstance(made, Infeasible)
+    assert not made.proved
+    assert str(made) == "no feasible order found within the budget"
+
+
+def test_explain_names_what_hinders_each_part() -> None:
+    assembly = three_bars()
+    problem = build_problem(assembly, scene_workcell(), OPTIONS)
+    assert explain(problem, assembly.root) == (Hindrance("beam", "stability", ("stub", "rear")),)
+    assert explain(problem, assembly.state_of(["beam", "rear"])) == (Hindrance("beam", "stability", ("rear",)),)
+    assert explain(problem, assembly.state_of(["beam"])) == ()
+
+
+def test_the_best_plan_so_far_survives_an_interrupt() -> None:
+    problem = build_problem(two_bars(), scene_workcell(), OPTIONS)
+    options = replace(OPTIONS, search="mcts", mcts=replace(OPTIONS.mcts, memory="paper"))
+    planner_plan, calls = problem.planner.plan, itertools.count(1)
+
+    def interrupted_plan(*args: object, **keywords: object) -> object:
+        if next(calls) == 3:  # one expansion and one simulation have found a sequence
+            raise KeyboardInterrupt
+        return planner_plan(*args, **keywords)  # type: ignore[arg-type]
+
+    problem.planner.plan = interrupted_plan  # type: ignore[method-assign, assignment]
+    made = plan_of(problem, search(problem, options), options, 0.0)
+    assert isinstance(made, Plan)
+    assert [step.part for step in made.steps] == ["stub", "beam"]
+    assert made.search["interrupted"] is True
+
+
+def test_misuse_is_told() -> None:
+    with pytest.raises(UnknownNameError, match="unknown search 'best'; valid: beam, exact"):
+        PlanningOptions(search="best")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="part 'stub' floats"):
+        plan(floating(), scene_workcell())
