@@ -92,12 +92,12 @@ def edges(planner: RemovalPlanner) -> list[Edge]:
     return found
 
 
-def scene_of(
-    robot: RobotModel, held: HeldArrays, world: WorldArrays, state: int, parts: int, padding: float
-) -> Scene:
+def scene_of(robot: RobotModel, held: HeldArrays, world: WorldArrays, state: int, parts: int, padding: float) -> Scene:
     """A planning situation with scratch memory of its own."""
     n = robot.joints
-    return Scene(robot.arm, held, world, flags_of(state, parts), padding, robot.workspace(64), np.zeros((6, n)), np.zeros(n))
+    return Scene(
+        robot.arm, held, world, flags_of(state, parts), padding, robot.workspace(64), np.zeros((6, n)), np.zeros(n)
+    )
 
 
 def random_rotation(rng: np.random.Generator) -> Array:

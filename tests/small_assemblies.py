@@ -6,10 +6,10 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from verification_scene import bar, scene_assembly, u_walls
 
 from takeapart.assembly import Assembly, Connector
 from takeapart.geometry import OrientedBox, pose
+from verification_scene import bar, scene_assembly, u_walls
 
 WORKCELL = """
 format = "takeapart/workcell"
@@ -55,7 +55,7 @@ def three_bars() -> Assembly:
 
 @functools.cache
 def deadlock() -> Assembly:
-    """No feasible order: the stub would fall without the beam, and cannot be lifted through the roof of its connector."""
+    """No feasible order: the stub would fall without the beam, and the beam's connector has a roof over the stub."""
     small = two_bars()
     roof = OrientedBox(pose([-0.02, 0.0, 0.012]), np.array([0.009, 0.0125, 0.001]))  # over the stub's end, beam's frame
     connectors = tuple(

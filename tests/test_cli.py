@@ -15,18 +15,18 @@ from typing import Any
 import click
 import pytest
 from click.testing import CliRunner, Result
-from example_documents import snapshot
-from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
-from verification_scene import scene_plan
 
 import takeapart
+from example_documents import snapshot
+from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
 from takeapart import cli_compile, cli_generate, cli_plan, files, planning, profiles
 from takeapart.assembly import Assembly
 from takeapart.cli import main
 from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
 from takeapart.removal.planner import RemovalPlanner
-from takeapart.robot import kernels
+from takeapart.robot import compilation, kernels
 from takeapart.robot.compilation import is_compiled
+from verification_scene import scene_plan
 
 SOURCE = Path(takeapart.__file__).resolve().parents[1]
 
@@ -38,6 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         save_assembly(assembly, tmp_path / f"{assembly.name}.json")
     (tmp_path / "cell.toml").write_text(WORKCELL)
     (tmp_path / "old.json").write_text("an earlier plan")
+    monkeypatch.setattr(compilation, "is_compiled", lambda module: True)  # whether the cache is warm or not: no notice
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -108,7 +109,7 @@ def no_workcell(folder: Path) -> None:
         (truncated, "two-bars.json: not valid JSON: it ends too early"),
         (wrong_version, "two-bars.json: version: version 2; this release reads version 1"),
         (floating_part, "floating: parts: part 'stub' floats: nothing carries it"),
-        (overlapping_parts, "two-bars.json: parts: parts 'beam' and 'stub' overlap by 4.00 mm"),
+        (overlapping_parts, "two-bars.json: parts: parts 'beam' and 'stub' overlap by 4.50 mm"),
         (no_file, "two-bars.json: there is no such file"),
         (another_format, "two-bars.json: format: format 'takeapart/plan'; must be 'takeapart/assembly'"),
         (unknown_robot, "cell.toml: robot.model: unknown robot 'pandora'; valid: panda"),
@@ -460,6 +461,26 @@ def test_demo_plans_and_verifies_the_shipped_assembly(folder: Path, monkeypatch:
     assert "verified: two-bars in scene" in run("demo", "--out", "new/demo").stdout
 
 
+@pytest.mark.slow
+def test_demo_as_shipped(tmp_path: Path) -> None:
+    result = run("demo", "--out", str(tmp_path / "demo"), "--json")
+    assert result.exit_code == 0, result.stderr
+    made = load_plan(tmp_path / "demo" / "plan.json")
+    assert len({step.part for step in made.steps}) == len(made.steps) == 21
+    assert made.straight_line_bound <= made.total_length <= 16.5
+    assert json.loads(result.stdout)["verified"] is not False
+
+
+@pytest.mark.slow
+def test_the_example_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).resolve().parents[1] / "README.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(example.splitlines()) == 5
+    monkeypatch.chdir(tmp_path)
+    exec(example, {})
+    assert len(load_plan("plan.json").steps) == 21
+
+
 @pytest.fixture
 def finder(monkeypatch: pytest.MonkeyPatch) -> None:
     """An order finder that refuses every other candidate without any planning."""
@@ -541,8 +562,6 @@ def test_kernels_are_found_in_numba_s_cache(folder: Path) -> None:
 
 
 def test_the_notice_of_compiling(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from takeapart.robot import compilation
-
     monkeypatch.setattr(compilation, "is_compiled", lambda module: False)
     result = plan("two-bars.json")
     assert result.exit_code == 0

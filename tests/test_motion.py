@@ -6,13 +6,14 @@ touches anything is taken from the kernels, which `test_kernels.py` holds agains
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import random_box, random_configurations, random_rotation, scene_of, world_around, world_of
 from ssik.prebuilt import franka_panda_ik
 
+from conftest import random_box, random_configurations, random_rotation, scene_of, world_around, world_of
 from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.motion.edges import (
     Scene,
@@ -62,7 +63,7 @@ def touches(scene: Scene, q: Array, padding: float) -> bool:
 
 def sampled(rows: Array, spacing: float) -> Iterator[Array]:
     """Configurations along a joint path, none farther from the next than `spacing`, rad."""
-    for a, b in zip(rows[:-1], rows[1:], strict=True):
+    for a, b in pairwise(rows):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / spacing)))
         for k in range(count):
             yield a + (b - a) * k / count
@@ -145,7 +146,7 @@ def test_tool_edges_are_free_at_ten_times_finer_samples(robot: RobotModel) -> No
     for scene, a, _, rows in straight_edges(robot, 20, 4):
         edges += 1
         path = np.concatenate([a[None], rows])
-        for before, after in zip(path[:-1], path[1:], strict=True):
+        for before, after in pairwise(path):
             for s in np.linspace(0, 1, 11):
                 assert not touches(scene, before + s * (after - before), PADDING - STEP / 2)
     assert edges > 50
@@ -163,7 +164,9 @@ def test_tool_edge_refuses_a_wall_in_its_way(robot: RobotModel) -> None:
     middle = robot.tool_pose(rows[count // 2 - 1])
     wall = np.eye(4)
     wall[:3, 3] = middle[:3, 3]
-    walled = scene_of(robot, held, world_of(robot, [(OrientedBox(wall, np.array([0.05, 0.002, 0.05])), 0)]), 1, 1, PADDING)
+    walled = scene_of(
+        robot, held, world_of(robot, [(OrientedBox(wall, np.array([0.05, 0.002, 0.05])), 0)]), 1, 1, PADDING
+    )
     assert is_free(walled, a) and is_free(walled, b)
     assert tool_edge(walled, a, b, SPACING, STEP, rows) == 0
     assert not joint_edge_free(walled, a, b, STEP, np.empty(robot.joints))
@@ -212,7 +215,9 @@ def test_path_blockers_mark_all_that_dense_samples_hit_and_nothing_that_is_clear
             rows = near_path(scene, robot, rng)
             hits = np.zeros(BOXES + 1, dtype=np.uint8)
             if not path_blockers(scene, rows, STEP, hits):
-                assert owners_hit(scene, rows, PADDING + 0.6 * STEP, 0.002)[1], "refused though the arm is clear of itself"
+                assert owners_hit(scene, rows, PADDING + 0.6 * STEP, 0.002)[1], (
+                    "refused though the arm is clear of itself"
+                )
                 continue
             paths += 1
             found, itself = owners_hit(scene, rows, PADDING, 0.001)
@@ -260,7 +265,7 @@ def test_lift_rows_go_straight_up_and_do_not_turn(robot: RobotModel) -> None:
             np.testing.assert_allclose(tool_of(robot, row), expected, atol=1e-7)
         assert np.abs(np.diff(rows, axis=0)).max() <= 0.1 + 1e-9
         # Between two rows the tool bends off the line by no more than what a check's step covers.
-        for before, after in zip(rows[:-1], rows[1:], strict=True):
+        for before, after in pairwise(rows):
             between = tool_of(robot, (before + after) / 2)
             assert np.linalg.norm(between[:2, 3] - start[:2, 3]) < 5e-4
             turn = between[:3, :3] @ start[:3, :3].T
@@ -370,7 +375,9 @@ def test_shortening_in_open_space_reaches_the_straight_line(robot: RobotModel) -
 def test_dense_rows_are_near_and_on_the_path(robot: RobotModel) -> None:
     rng = np.random.default_rng(13)
     for scene, _ in random_scenes(robot, 5, 14):
-        corners = random_configurations(robot, 3, rng) * 0.3 + 0.7 * np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+        corners = random_configurations(robot, 3, rng) * 0.3 + 0.7 * np.array(
+            [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
+        )
         rows = dense(scene, corners, SPACING)
         for corner in corners:
             assert np.abs(rows - corner).sum(axis=1).min() < 1e-12
@@ -398,13 +405,14 @@ def test_tool_positions_and_their_length(robot: RobotModel) -> None:
 
 def test_random_numbers_are_uniform_and_follow_the_seed() -> None:
     state = np.array([42], dtype=np.uint64)
-    drawn = np.array([next_random(state) for _ in range(20_000)])
+    draw: Callable[[object], float] = next_random
+    drawn = np.array([draw(state) for _ in range(20_000)])
     assert (drawn >= 0).all() and (drawn < 1).all()
     counts = np.histogram(drawn, bins=20, range=(0, 1))[0]
     assert ((counts - 1000) ** 2 / 1000).sum() < 45  # chi squared with 19 degrees of freedom: 1 in 1000
     assert abs(np.corrcoef(drawn[:-1], drawn[1:])[0, 1]) < 0.03
     again = np.array([42], dtype=np.uint64)
-    assert [next_random(again) for _ in range(5)] == drawn[:5].tolist()
+    assert [draw(again) for _ in range(5)] == drawn[:5].tolist()
 
 
 def test_random_boxes_of_these_tests_are_boxes() -> None:

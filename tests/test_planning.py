@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_assemblies import deadlock, floating, three_bars, two_bars
-from verification_scene import scene_workcell
 
+from small_assemblies import deadlock, floating, three_bars, two_bars
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.plan import Plan
 from takeapart.planning import (
@@ -28,6 +27,7 @@ from takeapart.planning import (
 from takeapart.removal.result import Effort, Removal
 from takeapart.search.result import Budget
 from takeapart.serialization import assembly_hash, plan_document, workcell_hash
+from verification_scene import scene_workcell
 
 OPTIONS = PlanningOptions(budget=Budget(episodes=20))
 

@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from conftest import random_box, random_configurations, world_of
 from scipy.spatial.transform import Rotation
 from ssik.prebuilt import franka_panda_ik
 
+from conftest import random_box, random_configurations, world_of
 from takeapart.errors import InputError
 from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.robot.cover import small_triangles, sphere_cover
 from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.kernels import collect_hand, forward, wrist_hits_load
+from takeapart.robot.kernels import collect_hand, forward, hand_hits_load
 from takeapart.robot.model import RobotModel, moved_load
 from takeapart.verification_model import place_body, robot_specification
 from takeapart.workcell import Workcell
@@ -54,7 +54,9 @@ def test_forward_kinematics_agrees_with_mujoco(robot: RobotModel, workcell: Work
     work = robot.workspace()
     for q in random_configurations(robot, 1000, np.random.default_rng(1)):
         place(model, data, q)
-        np.testing.assert_allclose(robot.tool_pose(q, work), body_pose(model, data, "panda_hand") @ T_hand_tool, atol=1e-6)
+        np.testing.assert_allclose(
+            robot.tool_pose(q, work), body_pose(model, data, "panda_hand") @ T_hand_tool, atol=1e-6
+        )
         for k in range(8):  # joint axes are z already: the joint frames are the link frames
             T = body_pose(model, data, f"panda_link{k}")
             np.testing.assert_allclose(work.R[k], T[:3, :3], atol=1e-6)
@@ -115,7 +117,7 @@ def deepest(points: Array, centers: Array, radii: Array) -> Array:
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_cover_holds_every_vertex_and_ten_thousand_surface_samples(robot: RobotModel, workcell: Workcell, link: str) -> None:
+def test_cover_holds_vertices_and_ten_thousand_samples(robot: RobotModel, workcell: Workcell, link: str) -> None:
     mesh = link_mesh(workcell, link)
     centers, radii = spheres_in_link(robot, workcell, link)
     samples, _ = trimesh.sample.sample_surface(mesh, 10_000, seed=3)
@@ -125,7 +127,7 @@ def test_cover_holds_every_vertex_and_ten_thousand_surface_samples(robot: RobotM
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_cover_reaches_no_farther_than_the_inflation_it_states(robot: RobotModel, workcell: Workcell, link: str) -> None:
+def test_cover_reaches_no_farther_than_stated(robot: RobotModel, workcell: Workcell, link: str) -> None:
     hull = link_mesh(workcell, link).convex_hull
     centers, radii = spheres_in_link(robot, workcell, link)
     directions = np.random.default_rng(4).normal(size=(60, 3))
@@ -221,7 +223,7 @@ def palm_hits(robot: RobotModel, T_tool_part: Array, body: tuple[OrientedBox, ..
     far = world_of(robot, [(OrientedBox(np.diag([1.0, 1.0, 1.0, 1.0]), np.full(3, 0.01)), 0)])
     flags = np.zeros(2, dtype=np.uint8)
     collect_hand(robot.arm, held, far, flags, 0.0, robot.tool_pose(np.zeros(robot.joints)), work, flags.copy())
-    return bool(wrist_hits_load(robot.arm, held, 0.0, work))
+    return bool(hand_hits_load(robot.arm, held, 0.0, work))
 
 
 def test_palm_hits_a_part_that_is_held_too_deep(robot: RobotModel, workcell: Workcell) -> None:

@@ -63,6 +63,7 @@ def _complain(message: str) -> None:
 
 
 @click.group(
+    name="takeapart",
     cls=CommandLine,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},

@@ -1,4 +1,4 @@
-"""Compiles the kernels before the work starts, and says so: the first time takes about a minute.
+"""Compiles the kernels before the work starts, and says so: the first time takes a minute or two.
 
 Otherwise the time limit of a first search would be spent on compiling. What was compiled is kept in numba's cache.
 """
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from takeapart.removal.result import Blocked, Counts, Effort, Removal
     from takeapart.workcell import Workcell
 
-NOTICE = "compiling the geometry kernels for the first time, about a minute"
+NOTICE = "compiling the geometry kernels for the first time, which takes a minute or two"
 
 
 def compile_first(workcell: Workcell) -> None:
@@ -45,7 +45,7 @@ def _plan_one_removal(workcell: Workcell) -> None:
     from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 
     # Without tries for straight paths and bends, the trees have to find the path.
-    options = RemovalOptions(straight_attempts=0, bend_attempts=0, tree_grasps=1, tree_failures=4)
+    options = RemovalOptions(straight_attempts=0, bend_attempts=0)
     base = workcell.T_world_base[:3, 3]
     towards = workcell.goal[:2] - base[:2]
     distance = max(float(np.linalg.norm(towards)), 1e-9)
@@ -63,6 +63,7 @@ class _TwoParts:
     """Two parts that leave in any order, at a fixed length; no geometry."""
 
     root = 0b11
+    hindered_by = (0, 0)  # with it the enumeration of states is the compiled one
 
     def __init__(self, counts: Counts) -> None:
         self.counts = counts

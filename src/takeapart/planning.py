@@ -77,7 +77,7 @@ class Hindrance:
             "stability": "others would fall",
             "lift": "cannot be lifted",
             "grasp": "cannot be grasped without a collision",
-            "ik": "is out of the arm's reach",
+            "ik": "the arm cannot reach it without a collision",
             "path": "no path to the goal was found",
         }
         by = f", blocked by {', '.join(self.blamed)}" if self.blamed else ""

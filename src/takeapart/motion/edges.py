@@ -33,6 +33,7 @@ class Scene(NamedTuple):
 
 MAXIMUM_ROWS = 4096
 COARSE_SPACING = 0.06  # m, of the rows in the first try of a tool-straight edge
+LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more would bend the line between them
 LARGEST_MARGIN = 0.03  # m, of the padding by which a piece of motion is accepted with one check
 
 
@@ -392,7 +393,7 @@ def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> boo
         if not converged:
             return False
         for j in range(n):
-            if q[j] < arm.lower[j] or q[j] > arm.upper[j] or abs(q[j] - rows[k - 1, j]) > 0.1:
+            if q[j] < arm.lower[j] or q[j] > arm.upper[j] or abs(q[j] - rows[k - 1, j]) > LARGEST_LIFT_TURN:
                 return False
     return True
 

@@ -20,14 +20,15 @@ from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.reach import Hand, LiftBranch, Reach
 from takeapart.removal.result import Blocked, Counts, Removal
-from takeapart.robot.arrays import Workspace
+from takeapart.robot.arrays import Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import tool_poses
 from takeapart.robot.model import RobotModel, load_robot
-from takeapart.robot.world import build_world
+from takeapart.robot.world import build_world, owner_fields, with_field
 from takeapart.workcell import Workcell
 
 
+KEPT_WORLDS = 64  # clearance fields of states that are kept
 PLANNING_MARGIN = 1e-4  # m, kept while planning over what the final check asks for, so that it does not fail by a hair
 
 
@@ -116,6 +117,9 @@ class RemovalPlanner:
             boxes += [(box.moved(part.T_world_part), owner) for box in assembly.body(i)]
         boxes += [(box, self._parts) for box in obstacles]
         self.world = build_world(boxes, self.robot.largest_ball + self._padding + LARGEST_MARGIN)
+        self._fields = owner_fields(self.world, self._parts + 1)
+        self._worlds: dict[int, WorldArrays] = {}
+        self.world = self._world_of(assembly.root)
         ik = InverseKinematics(self.robot)
         self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.check_step)
         self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding)
@@ -212,21 +216,26 @@ class RemovalPlanner:
         return removal if removal is not None else self._refusal(part, others, open_, nearest, work)
 
     def _refusal(self, part: int, others: int, open_: list[int], nearest: int | None, work: Workspace) -> Blocked:
-        """The furthest stage that any grasp reached."""
-        reachable = False
+        """The furthest stage that any grasp reached, and the fewest parts whose absence would take one further.
+
+        Args:
+            open_: grasps that the hand can take.
+            nearest: fewest parts in the way of a hand.
+        """
+        if not open_:
+            return Blocked(part, "grasp", nearest or 0)
+        if not len(self.goals.all(work)):
+            return Blocked(part, "ik", 0)
+        in_the_way: int | None = None
         for number in open_:
-            found = self.reach.branches(part, number, work)
-            reachable = reachable or found.reachable
-            for branch in found.branches:
+            for branch in self.reach.branches(part, number, work):
                 if not branch.blockers & others:
                     return Blocked(part, "path", self._blame_path(part, others))
-                nearest = _fewer(nearest, branch.blockers & others)
-        if nearest is not None:
-            return Blocked(part, "grasp", nearest)
-        return Blocked(part, "grasp" if reachable or not open_ else "ik", 0)
+                in_the_way = _fewer(in_the_way, branch.blockers & others)
+        return Blocked(part, "ik", in_the_way or 0)
 
     def _valid(self, part: int, others: int, number: int, work: Workspace) -> tuple[LiftBranch, ...]:
-        return tuple(b for b in self.reach.branches(part, number, work).branches if not b.blockers & others)
+        return tuple(b for b in self.reach.branches(part, number, work) if not b.blockers & others)
 
     def _estimates(
         self, part: int, others: int, pending: list[int], limit: float, rng: np.random.Generator, work: Workspace
@@ -244,7 +253,7 @@ class RemovalPlanner:
                 longest = limit - self.workcell.lift_height
                 seed = int(rng.integers(1 << 62))
                 known[key] = bends(
-                    self.world, present, hand.lifted, self.workcell.goal, hand.radius, self.options.bend_samples, longest, seed
+                    self._world_of(others), present, hand.lifted, self.workcell.goal, hand.radius, self.options.bend_samples, longest, seed
                 )
             points = known[key]
             if hand.line is not None and not hand.line & others:
@@ -387,9 +396,20 @@ class RemovalPlanner:
         work: Workspace = self._local.work
         return work
 
+    def _world_of(self, state: int) -> WorldArrays:
+        """The world with the clearance field of a state."""
+        world = self._worlds.get(state)
+        if world is None:
+            world = with_field(self.world, self._fields, flags_of(state, self._parts))
+            if len(self._worlds) >= KEPT_WORLDS:
+                self._worlds.clear()
+            self._worlds[state] = world
+        return world
+
     def _scene(self, hand: Hand, others: int, work: Workspace) -> Scene:
         present, n = flags_of(others, self._parts), self.robot.joints
-        return Scene(self.robot.arm, hand.held, self.world, present, self._padding, work, np.zeros((6, n)), np.zeros(n))
+        world = self._world_of(others)
+        return Scene(self.robot.arm, hand.held, world, present, self._padding, work, np.zeros((6, n)), np.zeros(n))
 
     def _blame_path(self, part: int, others: int) -> int:
         """Parts that the straight line of every grasp meets; all others if there is no such part."""

@@ -19,11 +19,11 @@ from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.robot.arrays import HeldArrays, Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.kernels import collect_hand, wrist_hits_load
+from takeapart.robot.kernels import collect_hand, hand_hits_load
 from takeapart.robot.model import RobotModel, moved_load
 from takeapart.workcell import Workcell
 
-LIFT_STEP = 0.01  # m, between the rows of a lift
+LIFT_SPACINGS = (0.005, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +60,6 @@ class LiftBranch:
     blockers: int
 
 
-@dataclass(frozen=True, eq=False)
-class Branches:
-    """All ways of the arm to hold and lift a part with one grasp; `reachable` if inverse kinematics had any solution."""
-
-    branches: tuple[LiftBranch, ...]
-    reachable: bool
-
-
 class Reach:
     """Grasps and lifts of the parts of one assembly, computed when first asked for.
 
@@ -91,7 +83,7 @@ class Reach:
         self._bounds: dict[int, tuple[tuple[float, GraspCandidate], ...]] = {}
         self._loads: dict[tuple[int, float], HeldArrays] = {}
         self._hands: dict[tuple[int, int], Hand] = {}
-        self._branches: dict[tuple[int, int], Branches] = {}
+        self._branches: dict[tuple[int, int], tuple[LiftBranch, ...]] = {}
 
     def bounds(self, part: int) -> tuple[tuple[float, GraspCandidate], ...]:
         """Grasps of a part with their straight-line bounds, m, shortest first."""
@@ -109,7 +101,7 @@ class Reach:
             self._hands[key] = self._solve_hand(part, *self.bounds(part)[number], work)
         return self._hands[key]
 
-    def branches(self, part: int, number: int, work: Workspace) -> Branches:
+    def branches(self, part: int, number: int, work: Workspace) -> tuple[LiftBranch, ...]:
         """The arm's ways to hold and lift the part with grasp `number`."""
         key = (part, number)
         if key not in self._branches:
@@ -120,7 +112,8 @@ class Reach:
         """Fingers at an opening, and the part with its own frame for the tool's."""
         key = (part, width)
         if key not in self._loads:
-            self._loads[key] = self._robot.held(width, np.eye(4), self._assembly.body(part))
+            gripped = len(self._assembly.parts[part].shape.boxes())
+            self._loads[key] = self._robot.held(width, np.eye(4), self._assembly.body(part), gripped)
         return self._loads[key]
 
     def _solve_hand(self, part: int, bound: float, candidate: GraspCandidate, work: Workspace) -> Hand:
@@ -139,7 +132,7 @@ class Reach:
         hits = np.zeros(parts + 1, dtype=np.uint8)
         for pose, load in ((start, held._replace(meets_world=_fingers_only(held))), (end, held)):
             collect_hand(self._robot.arm, load, self._world, everything, self._padding, pose, work, hits)
-        if not hits[parts] and not wrist_hits_load(self._robot.arm, held, 0.0, work):
+        if not hits[parts] and not hand_hits_load(self._robot.arm, held, self._workcell.clearance, work):
             blockers = state_of(hits)
         hits[:] = 0
         mark_line(self._world, end[:3, 3].copy(), self._workcell.goal, radius, hits)
@@ -147,20 +140,23 @@ class Reach:
         line = None if hits[parts] else state_of(hits)
         return Hand(candidate, bound, end[:3, 3].copy(), radius, held, blockers, line)
 
-    def _solve_branches(self, part: int, hand: Hand, work: Workspace) -> Branches:
+    def _solve_branches(self, part: int, hand: Hand, work: Workspace) -> tuple[LiftBranch, ...]:
         solutions = self._ik.solve(self._assembly.parts[part].T_world_part @ hand.candidate.T_part_tool)
         count, joints, parts = len(solutions), self._robot.joints, len(self._assembly.parts)
         if not count:
-            return Branches((), False)
+            return ()
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
         J, reach = np.zeros((6, joints)), np.zeros(joints)
         carrying = Scene(self._robot.arm, hand.held, self._world, everything, self._padding, work, J, reach)
         lifting = carrying._replace(held=hand.held._replace(meets_world=_fingers_only(hand.held)))
-        rows = np.empty((count, int(np.ceil(self._workcell.lift_height / LIFT_STEP)) + 1, joints))
-        hits = np.zeros((count, parts + 1), dtype=np.uint8)
-        good = np.zeros(count, dtype=np.uint8)
-        lift_branches(lifting, carrying, solutions, self._workcell.lift_height, self._step, rows, hits, good)
-        return Branches(tuple(LiftBranch(rows[s].copy(), state_of(hits[s])) for s in np.nonzero(good)[0]), True)
+        for spacing in LIFT_SPACINGS:  # near a singularity the joints turn fast: only close rows keep the lift straight
+            rows = np.empty((count, round(np.ceil(self._workcell.lift_height / spacing)) + 1, joints))
+            hits = np.zeros((count, parts + 1), dtype=np.uint8)
+            good = np.zeros(count, dtype=np.uint8)
+            lift_branches(lifting, carrying, solutions, self._workcell.lift_height, self._step, rows, hits, good)
+            if good.any():
+                break
+        return tuple(LiftBranch(rows[s].copy(), state_of(hits[s])) for s in np.nonzero(good)[0])
 
 
 def _fingers_only(held: HeldArrays) -> Array:

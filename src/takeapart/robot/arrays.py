@@ -16,6 +16,9 @@ Integers = NDArray[np.int32]
 Flags = NDArray[np.uint8]
 
 
+FIELD_STEP = 0.002  # m, unit of the clearance field
+
+
 class ArmArrays(NamedTuple):
     """A serial chain of n revolute joints; every joint turns about the z axis of its own frame."""
 
@@ -45,6 +48,7 @@ class HeldArrays(NamedTuple):
     probe_radius: Floats  # (C,) m
     probe_box: Integers  # (C,) box that the sphere belongs to
     group: Integers  # (3,) boxes group[0] .. group[1] are the fingers, group[1] .. group[2] the part
+    first_wall: int  # boxes from here on are walls of connectors: the fingers may not touch them
     group_center: Floats  # (2, 3) m, a ball around each group, tool frame
     group_radius: Floats  # (2,) m
 
@@ -62,6 +66,7 @@ class WorldArrays(NamedTuple):
     row_radius: Floats  # (K,) m, ascending; row k of the grid serves balls of at most this radius
     start: Integers  # (K, cells + 1) per row: where the entries of a cell start
     entry: Integers  # boxes near the cells, row after row
+    field: Flags  # (cells,) no box that counts is nearer to any point of the cell than this many FIELD_STEP
 
 
 class Workspace(NamedTuple):

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Integers, Workspace, WorldArrays
+from takeapart.robot.arrays import FIELD_STEP, ArmArrays, Flags, Floats, HeldArrays, Integers, Workspace, WorldArrays
 
 FREE, HIT_WORLD, HIT_SELF = 0, 1, 2
 
@@ -184,9 +184,9 @@ def _held_hits_world(
         y = R[1, 0] * o[c, 0] + R[1, 1] * o[c, 1] + R[1, 2] * o[c, 2] + p[1]
         z = R[2, 0] * o[c, 0] + R[2, 1] * o[c, 1] + R[2, 2] * o[c, 2] + p[2]
         cell = _cell(world, x, y, z)
-        if cell < 0:
-            continue
         r = held.probe_radius[c] + padding
+        if cell < 0 or world.field[cell] * FIELD_STEP > r:
+            continue
         row = _row(world, r)
         for e in range(world.start[row, cell], world.start[row, cell + 1]):
             w = world.entry[e]
@@ -209,7 +209,7 @@ def _held_hits_world(
 def ball_near_world(world: WorldArrays, present: Flags, x: float, y: float, z: float, r: float) -> bool:
     """Whether a ball touches any box that counts."""
     cell = _cell(world, x, y, z)
-    if cell < 0:
+    if cell < 0 or world.field[cell] * FIELD_STEP > r:
         return False
     row = _row(world, r)
     for e in range(world.start[row, cell], world.start[row, cell + 1]):
@@ -260,9 +260,9 @@ def collect_hand(
             for s in range(arm.body_start[b], arm.body_start[b + 1]):
                 x, y, z = _place(work, n, arm.sphere_center, s)
                 cell = _cell(world, x, y, z)
-                if cell < 0:
-                    continue
                 r = arm.sphere_radius[s] + padding
+                if cell < 0 or world.field[cell] * FIELD_STEP > r:
+                    continue
                 row = _row(world, r)
                 for e in range(world.start[row, cell], world.start[row, cell + 1]):
                     w = world.entry[e]
@@ -272,8 +272,12 @@ def collect_hand(
 
 
 @njit(cache=True, nogil=True)
-def wrist_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
-    """Whether palm and wrist touch the carried part; the same at every configuration. Needs `collect_hand` first."""
+def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
+    """Whether palm, wrist or fingers touch what they must not touch of the carried part.
+
+    That is the whole part for palm and wrist, and the walls of its connectors for the fingers. It is the same at every
+    configuration. Needs `collect_hand` first.
+    """
     n = len(arm.lower)
     for b in range(len(arm.body_frame)):
         if arm.body_frame[b] == n:
@@ -283,6 +287,12 @@ def wrist_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Work
                 for h in range(held.group[1], held.group[2]):
                     if _ball_meets_box(x, y, z, r, work.box_center, work.box_axes, held.half, h):
                         return True
+    for f in range(held.group[0], held.group[1]):
+        for h in range(held.first_wall, held.group[2]):
+            if boxes_meet(
+                work.box_center[f], work.box_axes[f], held.half[f], work.box_center[h], work.box_axes[h], held.half[h], padding
+            ):
+                return True
     return False
 
 
@@ -312,18 +322,16 @@ def _arm_hits_world(
     """Bodies far from the base come first: they are the likely ones. The base (body 0) may touch the world."""
     found = False
     for b in range(len(arm.body_frame) - 1, 0, -1):
-        r = arm.body_radius[b] + padding
-        if r <= world.row_radius[-1] and not ball_near_world(
-            world, present, work.body[b, 0], work.body[b, 1], work.body[b, 2], r
-        ):
+        cell = _cell(world, work.body[b, 0], work.body[b, 1], work.body[b, 2])
+        if cell >= 0 and world.field[cell] * FIELD_STEP > arm.body_radius[b] + padding:
             continue
         f = arm.body_frame[b]
         for s in range(arm.body_start[b], arm.body_start[b + 1]):
             x, y, z = _place(work, f, arm.sphere_center, s)
             cell = _cell(world, x, y, z)
-            if cell < 0:
-                continue
             r = arm.sphere_radius[s] + padding
+            if cell < 0 or world.field[cell] * FIELD_STEP > r:
+                continue
             row = _row(world, r)
             for e in range(world.start[row, cell], world.start[row, cell + 1]):
                 w = world.entry[e]
@@ -500,3 +508,47 @@ def grid_fill(
                             start[number] += 1
                         total += 1
     return total
+
+
+@njit(cache=True, nogil=True)
+def clearance_fields(
+    center: Floats,
+    axes: Floats,
+    half: Floats,
+    owner: Integers,
+    origin: Floats,
+    cell: float,
+    shape: Integers,
+    reach: float,
+    fields: Flags,
+) -> None:
+    """Per owner and grid cell (owners, cells) a lower bound of the distance from any point of the cell to the owner.
+
+    In units of FIELD_STEP, rounded down; exact up to `reach`, m, and no more than that beyond.
+    """
+    slack = 0.5 * math.sqrt(3.0) * cell
+    largest = min(255, int(math.floor(reach / FIELD_STEP)))
+    fields[:] = largest
+    lower, upper = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for w in range(len(half)):
+        for i in range(3):
+            extent = abs(axes[w, 0, i]) * half[w, 0] + abs(axes[w, 1, i]) * half[w, 1] + abs(axes[w, 2, i]) * half[w, 2]
+            beyond = extent + reach + slack
+            lower[i] = max(0, math.floor((center[w, i] - beyond - origin[i]) / cell))
+            upper[i] = min(shape[i] - 1, math.floor((center[w, i] + beyond - origin[i]) / cell))
+        for i in range(lower[0], upper[0] + 1):
+            for j in range(lower[1], upper[1] + 1):
+                for k in range(lower[2], upper[2] + 1):
+                    dx = origin[0] + (i + 0.5) * cell - center[w, 0]
+                    dy = origin[1] + (j + 0.5) * cell - center[w, 1]
+                    dz = origin[2] + (k + 0.5) * cell - center[w, 2]
+                    total = 0.0
+                    for a in range(3):
+                        e = abs(axes[w, a, 0] * dx + axes[w, a, 1] * dy + axes[w, a, 2] * dz) - half[w, a]
+                        if e > 0.0:
+                            total += e * e
+                    steps = (math.sqrt(total) - slack) / FIELD_STEP
+                    number = (i * shape[1] + j) * shape[2] + k
+                    value = max(0, int(math.floor(steps)))
+                    if value < fields[owner[w], number]:
+                        fields[owner[w], number] = value

@@ -80,13 +80,16 @@ class RobotModel:
             moved.append(OrientedBox(T_tool_hand @ T, box.half_extents))
         return moved
 
-    def held(self, opening: float, T_tool_part: Array | None = None, body: Sequence[OrientedBox] = ()) -> HeldArrays:
+    def held(
+        self, opening: float, T_tool_part: Array | None = None, body: Sequence[OrientedBox] = (), gripped: int = 1
+    ) -> HeldArrays:
         """What the gripper carries: its fingers and the boxes of a part.
 
         Args:
             opening: between the fingers, m.
             T_tool_part: (4, 4) pose of the part in the tool frame.
             body: the part's boxes in its own frame.
+            gripped: the first so many of them may touch the fingers, the others are walls of connectors.
         """
         fingers = self.finger_boxes(opening)
         part = [box.moved(T_tool_part) for box in body] if T_tool_part is not None else []
@@ -102,6 +105,7 @@ class RobotModel:
             probe_radius=np.array([radius for _, radius, _ in probes]),
             probe_box=np.array([h for _, _, h in probes], dtype=np.int32),
             group=np.array([0, len(fingers), len(boxes)], dtype=np.int32),
+            first_wall=len(fingers) + gripped,
             group_center=np.array([center for center, _ in balls]),
             group_radius=np.array([radius for _, radius in balls]),
         )
@@ -130,8 +134,8 @@ def _ball_around(boxes: Sequence[OrientedBox]) -> tuple[Array, float]:
 
 
 def _probes(box: OrientedBox) -> list[tuple[Array, float]]:
-    """Small spheres that together contain a box: it is cut into nearly cubic cells, each in its own sphere."""
-    edge = min(max(2 * float(np.sort(box.half_extents)[1]), 0.016), LARGEST_PROBE)
+    """Small spheres that together contain a box: it is cut into short cells, each in its own sphere."""
+    edge = min(max(4 * float(np.sort(box.half_extents)[1]), 0.016), LARGEST_PROBE)
     counts = np.maximum(1, np.ceil(2 * box.half_extents / edge - 1e-9).astype(int))
     cell = box.half_extents / counts
     radius = float(np.linalg.norm(cell)) + 1e-9

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from takeapart.geometry import OrientedBox
-from takeapart.robot.arrays import WorldArrays
-from takeapart.robot.kernels import grid_fill
+from takeapart.robot.arrays import Flags, WorldArrays
+from takeapart.robot.kernels import clearance_fields, grid_fill
 
 CELL = 0.03  # m
 ROW_RADII = (0.02, 0.04, 0.06, 0.09, 0.14, 0.25)  # m
@@ -50,4 +50,20 @@ def build_world(boxes: Sequence[tuple[OrientedBox, int]], largest: float = 0.25)
         start[row] = first + total
         entries.append(entry)
         total += found
-    return WorldArrays(center, axes, half, owner, origin, cell, shape, rows, start, np.concatenate(entries))
+    field = np.zeros(cells, dtype=np.uint8)  # claims nothing until `with_field`
+    return WorldArrays(center, axes, half, owner, origin, cell, shape, rows, start, np.concatenate(entries), field)
+
+
+def owner_fields(world: WorldArrays, owners: int) -> Flags:
+    """Clearance of every grid cell from every owner (owners, cells), in units of FIELD_STEP."""
+    fields = np.empty((owners, len(world.field)), dtype=np.uint8)
+    reach = float(world.row_radius[-1])
+    clearance_fields(
+        world.center, world.axes, world.half, world.owner, world.origin, world.cell, world.shape, reach, fields
+    )
+    return fields
+
+
+def with_field(world: WorldArrays, fields: Flags, present: Flags) -> WorldArrays:
+    """The world for a state: its clearance field counts the owners present (owners,), no others."""
+    return world._replace(field=fields[present.astype(bool)].min(axis=0))

@@ -1,0 +1,509 @@
+"""Grasps, lifting, masks and the removal planner, against brute force in single states."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from conftest import Edge, random_box, random_rotation, random_states, scene_of
+from takeapart.assembly import Assembly, Part, members
+from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse
+from takeapart.motion.edges import Scene
+from takeapart.removal.goals import super_fibonacci
+from takeapart.removal.grasps import grasp_candidates, grasp_positions, straight_line_bound
+from takeapart.removal.lifting import lift_blockers
+from takeapart.removal.masks import flags_of, state_of
+from takeapart.removal.planner import RemovalOptions, RemovalPlanner
+from takeapart.removal.result import Blocked, Removal
+from takeapart.robot.kernels import FREE, check
+from takeapart.robot.model import RobotModel
+from takeapart.verification_model import Scene as MujocoScene
+from takeapart.workcell import Workcell
+
+# ---- grasps
+
+
+def test_grasps_stand_every_two_centimetres_from_three_off_the_ends() -> None:
+    np.testing.assert_allclose(grasp_positions(0.40), np.arange(0.03, 0.3701, 0.02))
+    np.testing.assert_allclose(grasp_positions(0.08), [0.03, 0.05])
+    np.testing.assert_allclose(grasp_positions(0.06), [0.03])
+    np.testing.assert_allclose(grasp_positions(0.05), [0.025])
+    for length in np.random.default_rng(1).uniform(0.06, 1.0, 200):
+        positions = grasp_positions(length)
+        assert positions[0] == pytest.approx(0.03) and positions[-1] <= length - 0.03 + 1e-6
+        assert length - 0.03 - positions[-1] < 0.02
+        np.testing.assert_allclose(np.diff(positions), 0.02)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_grasps_come_from_all_four_sides_in_both_finger_orders(axis: int) -> None:
+    size = np.full(3, 0.02)
+    size[axis] = 0.40
+    part = Part(
+        "bar", Box((float(size[0]), float(size[1]), float(size[2]))), pose([0.3, 0.1, 0.2], [0.5, 0.1, -0.7, 0.2]), 1.0
+    )
+    found = grasp_candidates(part, 0.08)
+    assert len(found) == 18 * 4 * 2
+    along = np.eye(3)[axis]
+    by_place: dict[float, set[tuple[int, ...]]] = {}
+    for grasp in found:
+        T = grasp.T_part_tool
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(T[:3, :3]) > 0
+        assert grasp.width == pytest.approx(0.02)
+        approach, closing = T[:3, 2], T[:3, 1]
+        assert abs(approach @ along) < 1e-12 and abs(closing @ along) < 1e-12
+        np.testing.assert_allclose(T[:3, 3], (T[:3, 3] @ along) * along, atol=1e-12)
+        key = round(float(T[:3, 3] @ along), 6)
+        by_place.setdefault(key, set()).add(tuple(np.rint(np.concatenate([approach, closing])).astype(int).tolist()))
+    np.testing.assert_allclose(sorted(by_place), np.arange(0.03, 0.3701, 0.02) - 0.2)
+    assert all(len(orientations) == 8 for orientations in by_place.values())
+
+
+def test_grasps_wider_than_the_gripper_are_left_out() -> None:
+    part = Part("plate", Box((0.3, 0.2, 0.02)), np.eye(4), 1.0)
+    found = grasp_candidates(part, 0.08)
+    assert {grasp.width for grasp in found} == {0.02}
+    assert all(abs(grasp.T_part_tool[2, 1]) == 1 for grasp in found)  # the fingers close across the thin side
+    assert not grasp_candidates(Part("cube", Box((0.3, 0.2, 0.1)), np.eye(4), 1.0), 0.08)
+
+
+def test_straight_line_bound_is_up_and_then_straight() -> None:
+    part = Part("bar", Box((0.4, 0.02, 0.02)), pose([1.0, 2.0, 3.0]), 1.0)
+    grasp = grasp_candidates(part, 0.08)[0]
+    start = np.array([1.0 - 0.2 + 0.03, 2.0, 3.0])
+    goal = np.array([0.5, -0.4, 2.0])
+    expected = 0.05 + math.dist(start + [0, 0, 0.05], goal)
+    assert straight_line_bound(part, grasp, 0.05, goal) == pytest.approx(expected)
+
+
+# ---- masks and lifting
+
+
+def test_states_and_flags_are_the_same_thing() -> None:
+    rng = np.random.default_rng(2)
+    for parts in (1, 7, 8, 9, 40, 64, 65):
+        for _ in range(20):
+            state = sum(1 << i for i in range(parts) if rng.random() < 0.5)
+            flags = flags_of(state, parts)
+            assert flags.tolist() == [state >> i & 1 for i in range(parts)] + [1]
+            assert state_of(flags) == state
+
+
+def corners_span(box: OrientedBox) -> Array:
+    """(2, 3) lower and upper corner; exact for boxes that are parallel to the axes."""
+    points = box.corners()
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def test_lifting_of_profiles_agrees_with_sampled_heights(assembly: Assembly, workcell: Workcell) -> None:
+    """All boxes are parallel to the axes here, so comparing intervals is exact; 251 heights up to 5 cm."""
+    clearance = 0.0016
+    obstacles = tuple(obstacle.box for obstacle in workcell.environment)
+    found = lift_blockers(assembly, 0.05, clearance, obstacles)
+    spans: list[list[Array]] = [
+        [corners_span(box.moved(part.T_world_part)) for box in assembly.body(i)]
+        for i, part in enumerate(assembly.parts)
+    ]
+    table = [corners_span(box) for box in obstacles]
+    for i, part in enumerate(assembly.parts):
+        hit, stuck = 0, part.fixed
+        for k in range(len(assembly.parts) + 1):
+            others = table if k == len(assembly.parts) else spans[k]
+            if k != i and any(rises_into(mine, other, clearance) for mine in spans[i] for other in others):
+                permanent = k == len(assembly.parts) or assembly.parts[k].fixed
+                stuck, hit = stuck or permanent, hit if permanent else hit | 1 << k
+        assert found[i] == (None if stuck else hit), part.name
+    assert any(mask for mask in found if mask) and any(mask == 0 for mask in found)
+
+
+def rises_into(mine: Array, other: Array, clearance: float) -> bool:
+    if (np.minimum(mine[1], other[1]) - np.maximum(mine[0], other[0]))[:2].min() <= -clearance:
+        return False
+    moved = mine + np.linspace(0, 0.05, 251)[:, None, None] * [0, 0, 1]  # (heights, 2, 3)
+    overlap = np.minimum(moved[:, 1], other[1]) - np.maximum(moved[:, 0], other[0])
+    return bool((overlap.min(axis=1) > 1e-4).any() or overlap[-1].min() > -clearance + 1e-9)
+
+
+def overlap_at(box: OrientedBox, other: OrientedBox, height: float, grown: float) -> bool:
+    """Whether a lifted box, grown by `grown` on every side, meets another: least squares over the points of both."""
+    A = np.column_stack([box.T_frame_box[:3, :3], -other.T_frame_box[:3, :3]])
+    offset = other.T_frame_box[:3, 3] - box.T_frame_box[:3, 3] - [0, 0, height]
+    bound = np.concatenate([box.half_extents + grown, other.half_extents])
+    return float(np.linalg.norm(A @ lsq_linear(A, offset, (-bound, bound), method="bvls").x - offset)) < 1e-9
+
+
+def test_lifting_of_turned_boxes_agrees_with_sampled_heights() -> None:
+    hits = misses = 0
+    for seed in range(25):
+        rng = np.random.default_rng([3, seed])
+        parts: list[Part] = []
+        while len(parts) < 7:
+            box = random_box(rng, np.zeros(3), np.array([0.25, 0.25, 0.2]), 0.01, 0.05)
+            size = 2 * box.half_extents
+            part = Part(f"p{len(parts)}", Box((float(size[0]), float(size[1]), float(size[2]))), box.T_frame_box, 1.0)
+            if not any(overlap_at(box, p.shape.boxes()[0].moved(p.T_world_part), 0.0, 0.001) for p in parts):
+                parts.append(part)
+        assembly = Assembly("turned", tuple(parts))
+        boxes = [part.shape.boxes()[0].moved(part.T_world_part) for part in parts]
+        for i, mask in enumerate(lift_blockers(assembly, 0.05, 0.0, ())):
+            assert mask is not None
+            for k in range(len(parts)):
+                if k == i:
+                    continue
+                offset = boxes[k].T_frame_box[:2, 3] - boxes[i].T_frame_box[:2, 3]
+                if np.hypot(*offset) > sum(np.linalg.norm(boxes[m].half_extents) for m in (i, k)) + 0.002:
+                    assert not mask >> k & 1  # far aside
+                    continue
+                heights = np.linspace(0, 0.05, 26)
+                deep = any(overlap_at(boxes[i], boxes[k], h, -0.0003) for h in heights)
+                near = any(overlap_at(boxes[i], boxes[k], h, 0.0015) for h in heights)  # covers 2 mm between samples
+                assert not deep or mask >> k & 1
+                assert near or not mask >> k & 1
+                hits, misses = hits + deep, misses + (not near)
+    assert hits > 30 and misses > 100
+
+
+def test_nothing_is_lifted_through_what_never_leaves() -> None:
+    low, high = Part("low", Box((0.2, 0.02, 0.02)), pose([0, 0, 0.1]), 1.0), pose([0, 0, 0.14])
+    assert lift_blockers(Assembly("a", (low, Part("high", Box((0.02, 0.2, 0.02)), high, 1.0))), 0.05, 0.001, ()) == [
+        2,
+        0,
+    ]
+    fixed = Assembly("a", (low, Part("high", Box((0.02, 0.2, 0.02)), high, 1.0, True)))
+    assert lift_blockers(fixed, 0.05, 0.001, ()) == [None, None]
+    alone = Assembly("a", (low,))
+    shelf = OrientedBox(pose([0, 0, 0.162]), np.array([0.1, 0.1, 0.001]))
+    assert lift_blockers(alone, 0.05, 0.001, (shelf,)) == [None]
+    assert lift_blockers(alone, 0.0500, 0.0005, (OrientedBox(pose([0, 0, 0.162]), np.array([0.1, 0.1, 0.0005])),)) == [
+        0
+    ]
+
+
+# ---- masks of grasps, lifts and removals
+
+
+@cache
+def cached_branches(planner: RemovalPlanner) -> list[tuple[int, int]]:
+    """Part and grasp number of grasps that the arm can reach, over all parts."""
+    rng, work = np.random.default_rng(4), planner.robot.workspace(64)
+    found = []
+    for part in members(planner.assembly.root):
+        numbers = rng.permutation(len(planner.reach.bounds(part)))[:14]
+        found += [(part, int(n)) for n in numbers if planner.reach.branches(part, int(n), work)]
+    return found
+
+
+def rows_touch(scene: Scene, rows: Array, padding: float, spacing: float) -> bool:
+    """Whether any of dense samples along a joint path touches anything."""
+    for a, b in pairwise(rows):
+        for s in np.linspace(0, 1, max(2, int(np.ceil(np.linalg.norm(b - a) / spacing)) + 1)):
+            q = a + s * (b - a)
+            if check(scene.arm, scene.held, scene.world, scene.present, padding, q, scene.work) != FREE:
+                return True
+    return False
+
+
+PADDING = 0.0016  # m, of the default workcell and options: clearance 1 mm, half a step, planning margin
+
+
+def test_branch_masks_equal_fresh_checks_in_random_states(planner: RemovalPlanner) -> None:
+    """500 random states: a lift is valid by its mask exactly if nothing is hit in that state."""
+    rng, work = np.random.default_rng(5), planner.robot.workspace(64)
+    grasps = cached_branches(planner)
+    assert len({part for part, _ in grasps}) > 10
+    valid = invalid = unsure = 0
+    for state in random_states(planner.assembly, 500, rng):
+        part, number = grasps[int(rng.integers(len(grasps)))]
+        hand = planner.reach.hand(part, number, work)
+        branches = planner.reach.branches(part, number, work)
+        branch = branches[int(rng.integers(len(branches)))]
+        others = state & ~(1 << part)
+        scene = scene_of(planner.robot, hand.held, planner.world, others, len(planner.assembly.parts), PADDING)
+        fingers = hand.held.meets_world.copy()
+        fingers[hand.held.group[1] :] = 0  # while it is lifted, the part itself is the business of `lift_blockers`
+        lifting = scene._replace(held=hand.held._replace(meets_world=fingers))
+        end = branch.rows[-1:].repeat(2, axis=0)
+        touched = rows_touch(lifting, branch.rows, PADDING, 0.002) or rows_touch(scene, end, PADDING, 1)
+        close = rows_touch(lifting, branch.rows, PADDING + 0.0006, 0.002) or rows_touch(scene, end, PADDING + 1e-6, 1)
+        by_mask = not branch.blockers & others
+        assert not (by_mask and touched), (part, number, bin(state))
+        assert by_mask or close, (part, number, bin(state))
+        valid, invalid, unsure = valid + (not close), invalid + touched, unsure + (close and not touched)
+    assert valid > 100 and invalid > 100
+    assert unsure < 25
+
+
+def test_hand_masks_equal_fresh_checks_in_random_states(planner: RemovalPlanner) -> None:
+    """What the hand's mask refuses, every branch refuses; and in each state it refuses by bodies of the hand alone."""
+    rng, work = np.random.default_rng(6), planner.robot.workspace(64)
+    oracle = MujocoScene(planner.assembly, planner.workcell, 0.05)
+    carried = {"panda_link7", *planner.workcell.description.hand_links}
+    parts = members(planner.assembly.root)
+    valid = invalid = 0
+    for state in random_states(planner.assembly, 500, rng):
+        part = int(rng.choice(parts))
+        number = int(rng.integers(len(planner.reach.bounds(part))))
+        hand = planner.reach.hand(part, number, work)
+        branches = planner.reach.branches(part, number, work)
+        others = state & ~(1 << part)
+        if not branches or hand.blockers is None:
+            continue
+        for branch in branches:
+            assert not hand.blockers & ~branch.blockers
+        # MuJoCo, with the exact meshes: fingers, palm and wrist at the start, the part as well after the lift.
+        branch = branches[0]
+        oracle.show(others | 1 << part, part)
+        oracle.grip(pose_inverse(hand.candidate.T_part_tool), hand.candidate.width)
+        hit = 0
+        for row, bodies in (
+            (branch.rows[0], carried),
+            (branch.rows[-1], carried | {f"held/{planner.assembly.parts[part].name}"}),
+        ):
+            oracle.place(row)
+            pairs, distances = oracle.near()
+            for (a, b), distance in zip(pairs.tolist(), distances.tolist(), strict=True):
+                names = {oracle.label(a), oracle.label(b)}
+                static = [name for name in names if name.startswith("part/")]
+                if static and names & bodies and distance < 0.001 - 1e-6 and oracle.distance(a, b) < 0.001 - 1e-6:
+                    number_hit = planner.assembly.index[static[0].removeprefix("part/")]
+                    assert not planner.assembly.parts[number_hit].fixed
+                    hit |= 1 << number_hit
+        assert not hit & ~hand.blockers, (part, number, bin(state), bin(hit))
+        valid += not hand.blockers & others
+        invalid += bool(hand.blockers & others)
+    assert valid > 50 and invalid > 50
+
+
+@cache
+def known_removals(planner: RemovalPlanner, edges: tuple[Edge, ...]) -> list[tuple[Edge, Removal]]:
+    found = []
+    for k, edge in enumerate(edges):
+        answer = planner.plan(edge.part, edge.state, rng=np.random.default_rng(k))
+        if isinstance(answer, Removal):
+            found.append((edge, answer))
+    return found
+
+
+def test_removals_hold_what_they_promise(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    removals = known_removals(planner, tuple(edges))
+    assert len(removals) > 12
+    cell = planner.workcell
+    for edge, removal in removals:
+        assert removal.part == edge.part and removal.valid_in(edge.state & ~(1 << edge.part))
+        assert not removal.blockers >> edge.part & 1
+        rows, poses = removal.joint_path, removal.tool_path
+        assert len(rows) == len(poses)
+        assert (rows >= planner.robot.arm.lower - 1e-9).all() and (rows <= planner.robot.arm.upper + 1e-9).all()
+        expected = np.array([planner.robot.tool_pose(q) for q in rows])
+        np.testing.assert_allclose(poses[:, :3], expected[:, :3, 3], atol=1e-9)
+        np.testing.assert_allclose([pose(p[:3], p[3:]) for p in poses], expected, atol=1e-6)
+        assert removal.length == pytest.approx(
+            sum(math.dist(a, b) for a, b in zip(poses[:-1, :3], poses[1:, :3], strict=True))
+        )
+        assert removal.length >= planner.straight_line_bound(edge.part) - 1e-6
+        np.testing.assert_allclose(poses[-1, :3], cell.goal, atol=1e-5)
+        np.testing.assert_allclose(
+            poses[0], np.concatenate([removal.grasp.center, removal.grasp.orientation]), atol=1e-9
+        )
+        # The first five centimetres go straight up without turning.
+        height = poses[:, 2] - poses[0, 2]
+        lifted = int(np.argmax(height > cell.lift_height - 1e-6))
+        np.testing.assert_allclose(poses[: lifted + 1, :2], np.tile(poses[0, :2], (lifted + 1, 1)), atol=1e-6)
+        np.testing.assert_allclose(np.abs(poses[: lifted + 1, 3:] @ poses[0, 3:]), 1.0, atol=1e-9)
+        # The part is gripped where it stands: the grasp is one of its candidates.
+        T_part_tool = pose_inverse(planner.assembly.parts[edge.part].T_world_part) @ pose(poses[0, :3], poses[0, 3:])
+        away = [np.abs(T_part_tool - g.T_part_tool).max() for _, g in planner.reach.bounds(edge.part)]
+        assert min(away) < 1e-5
+
+
+def test_removal_masks_equal_fresh_checks_in_random_states(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    """500 random states: a removal is valid by its mask exactly if its motion hits nothing that stands there."""
+    rng = np.random.default_rng(7)
+    removals = known_removals(planner, tuple(edges))
+    clearance = planner.workcell.clearance
+    valid = invalid = 0
+    for state in random_states(planner.assembly, 500, rng):
+        edge, removal = removals[int(rng.integers(len(removals)))]
+        others = state & ~(1 << edge.part)
+        bar = planner.assembly.parts[edge.part]
+        T_tool_part = pose_inverse(planner.robot.tool_pose(removal.joint_path[0])) @ bar.T_world_part
+        held = planner.robot.held(removal.grasp.width, T_tool_part, planner.assembly.body(edge.part))
+        fingers = held.meets_world.copy()
+        fingers[held.group[1] :] = 0
+        scene = scene_of(planner.robot, held, planner.world, others, len(planner.assembly.parts), clearance)
+        lifting = scene._replace(held=held._replace(meets_world=fingers))
+        heights = removal.tool_path[:, 2] - removal.tool_path[0, 2]
+        top = int(np.argmax(heights > planner.workcell.lift_height - 1e-6))
+        lift, path = removal.joint_path[: top + 1], removal.joint_path[top:]
+        touched = rows_touch(lifting, lift, clearance, 0.01) or rows_touch(scene, path, clearance, 0.02)
+        lifted_into = planner.lift_blockers[edge.part] or 0  # tested above: what the part itself meets on its way up
+        touched = touched or bool(lifted_into & others)
+        by_mask = removal.valid_in(others)
+        assert not (by_mask and touched), (edge.part, bin(state))
+        if not by_mask and not touched:
+            wide = PADDING + 0.0006
+            assert rows_touch(lifting, lift, wide, 0.002) or rows_touch(scene, path, wide, 0.004), (
+                edge.part,
+                bin(state),
+            )
+        valid, invalid = valid + by_mask, invalid + touched
+        subset = state & random_states(planner.assembly, 1, rng)[0]
+        assert not by_mask or removal.valid_in(subset)
+    assert valid > 50 and invalid > 50
+
+
+# ---- the planner's answers
+
+
+def bar(name: str, center: list[float], size: tuple[float, float, float], fixed: bool = False) -> Part:
+    return Part(name, Box(size), pose(center), 0.1, fixed)
+
+
+def plan_in(
+    robot: RobotModel, workcell: Workcell, parts: list[Part], part: int = 0, **changes: object
+) -> tuple[Removal | Blocked, RemovalPlanner]:
+    """Plans one part of a small assembly, everything present."""
+    assembly = Assembly("small", tuple(parts))
+    cell = replace(workcell, **changes)  # type: ignore[arg-type]
+    planner = RemovalPlanner(assembly, cell, RemovalOptions(tree_failures=3, tree_iterations=200), robot)
+    return planner.plan(part, assembly.root, rng=np.random.default_rng(0)), planner
+
+
+FREE_BAR = bar("bar", [0.10, 0.20, 0.15], (0.02, 0.20, 0.02))
+
+
+def test_a_free_bar_leaves_almost_straight(robot: RobotModel, workcell: Workcell) -> None:
+    removal, planner = plan_in(robot, workcell, [FREE_BAR])
+    assert isinstance(removal, Removal)
+    assert removal.blockers == 0
+    assert planner.straight_line_bound(0) <= removal.length < 1.1 * planner.straight_line_bound(0)
+
+
+def test_blocked_by_what_lies_above(robot: RobotModel, workcell: Workcell) -> None:
+    above = bar("above", [0.10, 0.20, 0.19], (0.2, 0.02, 0.02))
+    aside = bar("aside", [0.10, 0.45, 0.15], (0.02, 0.1, 0.02))
+    answer, planner = plan_in(robot, workcell, [FREE_BAR, above, aside])
+    assert answer == Blocked(0, "lift", 0b010)
+    assert isinstance(planner.plan(0, 0b101, rng=np.random.default_rng(0)), Removal)
+    fixed, _ = plan_in(robot, workcell, [FREE_BAR, replace(above, fixed=True)])
+    assert fixed == Blocked(0, "lift", 0)
+
+
+def walls(gap: float, fixed: bool) -> list[Part]:
+    """Two walls along the bar, too near and too high for fingers, and two at its ends."""
+    side = 0.01 + gap + 0.01
+    return [
+        bar("left", [0.10 + side, 0.20, 0.10], (0.02, 0.24, 0.16), fixed),
+        bar("right", [0.10 - side, 0.20, 0.10], (0.02, 0.24, 0.16), fixed),
+    ]
+
+
+def test_blocked_where_no_hand_fits(robot: RobotModel, workcell: Workcell) -> None:
+    answer, planner = plan_in(robot, workcell, [FREE_BAR, *walls(0.002, False)])
+    assert isinstance(answer, Blocked) and answer.stage == "grasp"
+    assert answer.blamed and not answer.blamed & ~0b110
+    assert isinstance(planner.plan(0, 0b001, rng=np.random.default_rng(0)), Removal)
+    fixed, _ = plan_in(robot, workcell, [FREE_BAR, *walls(0.002, True)])
+    assert fixed == Blocked(0, "grasp", 0)
+
+
+def test_blocked_out_of_reach(robot: RobotModel, workcell: Workcell) -> None:
+    answer, _ = plan_in(robot, workcell, [bar("bar", [2.0, 0.2, 0.3], (0.02, 0.2, 0.02))], environment=())
+    assert answer == Blocked(0, "ik", 0)
+
+
+def test_blocked_where_the_goal_is_out_of_reach(robot: RobotModel, workcell: Workcell) -> None:
+    answer, _ = plan_in(robot, workcell, [FREE_BAR], goal=np.array([-3.0, 0.0, 0.3]))
+    assert isinstance(answer, Blocked)
+    assert answer.stage in ("ik", "path")  # the part can be gripped, but never be brought to the goal
+    assert answer.blamed == 0
+
+
+def test_blocked_where_the_goal_is_taken(robot: RobotModel, workcell: Workcell) -> None:
+    """A block stands where the tool must end: the part can be gripped and lifted, but not brought there."""
+    x, y, z = workcell.goal
+    block = bar("block", [x, y, z], (0.06, 0.06, 0.06))
+    answer, planner = plan_in(robot, workcell, [FREE_BAR, block, bar("aside", [0.10, 0.45, 0.15], (0.02, 0.1, 0.02))])
+    assert answer == Blocked(0, "path", 0b010)
+    assert isinstance(planner.plan(0, 0b101, rng=np.random.default_rng(0)), Removal)
+    fixed, _ = plan_in(robot, workcell, [FREE_BAR, replace(block, fixed=True)])
+    assert isinstance(fixed, Blocked) and fixed.blamed == 0
+
+
+def test_only_shorter_removals_are_of_interest(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    shorter = 0
+    for edge, removal in known_removals(planner, tuple(edges))[:12]:
+        rng = np.random.default_rng(1)
+        for limit in (removal.length, 0.97 * removal.length, planner.straight_line_bound(edge.part)):
+            answer = planner.plan(edge.part, edge.state, rng=rng, shorter_than=limit)
+            if isinstance(answer, Removal):
+                assert answer.length < limit
+                shorter += 1
+        assert isinstance(answer, Blocked), "nothing is shorter than the straight-line bound"
+    assert shorter < 24
+
+
+def test_more_attempts_are_never_longer(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    for edge, removal in known_removals(planner, tuple(edges))[:8]:
+        seed = edges.index(edge)
+        answer = planner.plan(edge.part, edge.state, rng=np.random.default_rng(seed), attempts=3)
+        assert isinstance(answer, Removal)
+        assert answer.length <= removal.length + 1e-12
+
+
+def same(a: Removal | Blocked, b: Removal | Blocked) -> bool:
+    if isinstance(a, Removal) and isinstance(b, Removal):
+        return a.joint_path.tobytes() == b.joint_path.tobytes() and (a.length, a.blockers) == (b.length, b.blockers)
+    return a == b
+
+
+def test_answers_follow_the_seed_alone(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    """A planner that was asked nothing before, and one asked everything, in another order, on two threads."""
+    chosen = list(enumerate(edges[:16]))
+    fresh = RemovalPlanner(planner.assembly, planner.workcell, robot=planner.robot)
+
+    def ask(asked: RemovalPlanner, entry: tuple[int, Edge]) -> Removal | Blocked:
+        number, edge = entry
+        return asked.plan(edge.part, edge.state, rng=np.random.default_rng(number))
+
+    alone = [ask(planner, entry) for entry in chosen]
+    with ThreadPoolExecutor(2) as pool:
+        threaded = list(pool.map(lambda entry: ask(fresh, entry), reversed(chosen)))[::-1]
+    assert all(same(a, b) for a, b in zip(alone, threaded, strict=True))
+    assert any(isinstance(a, Removal) for a in alone)
+    other = planner.plan(chosen[0][1].part, chosen[0][1].state, rng=np.random.default_rng(0))
+    assert same(alone[0], other)
+
+
+# ---- goals
+
+
+def test_goal_configurations_stand_at_the_goal_and_are_free_of_what_never_leaves(planner: RemovalPlanner) -> None:
+    work = planner.robot.workspace(64)
+    goals = planner.goals.all(work)
+    assert len(goals) > 100
+    present = flags_of(0, len(planner.assembly.parts))
+    for q in goals:
+        np.testing.assert_allclose(planner.robot.tool_pose(q)[:3, 3], planner.workcell.goal, atol=1e-5)
+        assert check(planner.robot.arm, planner.robot.held(0.0), planner.world, present, 0.001, q, work) == FREE
+    # Its orientation is free: approach directions all around.
+    directions = np.array([planner.robot.tool_pose(q)[:3, 2] for q in goals])
+    assert np.linalg.eigvalsh(directions.T @ directions / len(directions))[0] > 0.05
+
+
+def test_orientations_are_spread_evenly() -> None:
+    quaternions = super_fibonacci(240)
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0)
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        R = random_rotation(rng)
+        traces = [np.trace(R.T @ pose((0, 0, 0), q)[:3, :3]) for q in quaternions]
+        assert np.arccos(np.clip((max(traces) - 1) / 2, -1, 1)) < np.deg2rad(45)
