@@ -271,8 +271,12 @@ def sequence_bound_above_total(target: Target, rng: np.random.Generator) -> Corr
 
 @mutation
 def bound_not_a_number(target: Target, rng: np.random.Generator) -> Corrupted:
-    changes = ({"straight_line_bound": np.nan}, {"sequence_bound": np.nan}, {"sequence_bound": np.inf})
-    plan = replace(target.plan, **changes[int(rng.integers(3))])
+    plans = (
+        replace(target.plan, straight_line_bound=np.nan),
+        replace(target.plan, sequence_bound=np.nan),
+        replace(target.plan, sequence_bound=np.inf),
+    )
+    plan = plans[int(rng.integers(3))]
     return Corrupted("bound_not_a_number", plan, "bound", None)
 
 

@@ -19,13 +19,13 @@ from click.testing import CliRunner, Result
 import takeapart
 from example_documents import snapshot
 from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
-from takeapart import cli_compile, cli_generate, cli_plan, files, planning, profiles
+from takeapart import cli_compile, cli_generate, cli_plan, compilation, files, planning, profiles
 from takeapart.assembly import Assembly
 from takeapart.cli import main
+from takeapart.compilation import is_compiled
 from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
 from takeapart.removal.planner import RemovalPlanner
-from takeapart.robot import compilation, kernels
-from takeapart.robot.compilation import is_compiled
+from takeapart.robot import kernels
 from verification_scene import scene_plan
 
 SOURCE = Path(takeapart.__file__).resolve().parents[1]

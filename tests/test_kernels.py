@@ -252,9 +252,9 @@ def test_padding_is_the_distance_below_which_things_touch(planner: RemovalPlanne
 
 @pytest.mark.slow
 @pytest.mark.parametrize("padding", [0.0, 0.0016, 0.03])
-def test_no_missed_collision_in_many_more_configurations(planner: RemovalPlanner, padding: float) -> None:
-    tally = compare_with_mujoco(planner, 400, 100, padding, 23)
-    assert sum(tally[key] for key in ("free", "hit")) == 40_000
+def test_no_missed_collision_in_other_configurations(planner: RemovalPlanner, padding: float) -> None:
+    tally = compare_with_mujoco(planner, 100, 100, padding, 23)
+    assert sum(tally[key] for key in ("free", "hit")) == 10_000
 
 
 def test_configurations_with_more_clearance_than_the_cover_needs_are_free(planner: RemovalPlanner) -> None:

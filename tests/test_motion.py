@@ -405,7 +405,7 @@ def test_tool_positions_and_their_length(robot: RobotModel) -> None:
 
 def test_random_numbers_are_uniform_and_follow_the_seed() -> None:
     state = np.array([42], dtype=np.uint64)
-    draw: Callable[[object], float] = next_random
+    draw: Callable[..., float] = next_random
     drawn = np.array([draw(state) for _ in range(20_000)])
     assert (drawn >= 0).all() and (drawn < 1).all()
     counts = np.histogram(drawn, bins=20, range=(0, 1))[0]

@@ -234,6 +234,16 @@ def test_palm_hits_a_part_that_is_held_too_deep(robot: RobotModel, workcell: Wor
     assert palm_hits(robot, deep, bar)
 
 
+def test_fingers_hit_the_connector_walls_of_the_part_they_hold(robot: RobotModel) -> None:
+    """The first box of a body is what the fingers grip; what follows are walls of its connectors."""
+    bar = Box((0.3, 0.02, 0.02)).boxes()
+    finger = robot.finger_boxes(0.02)[3]
+    at_finger, aside = finger.T_frame_box.copy(), finger.T_frame_box.copy()
+    aside[0, 3] += 0.1
+    assert palm_hits(robot, np.eye(4), (*bar, OrientedBox(at_finger, np.full(3, 0.002))))
+    assert not palm_hits(robot, np.eye(4), (*bar, OrientedBox(aside, np.full(3, 0.002))))
+
+
 def test_moved_load_is_the_load_held_there(robot: RobotModel) -> None:
     rng = np.random.default_rng(8)
     body = [random_box(rng, np.full(3, -0.1), np.full(3, 0.1), 0.01, 0.05) for _ in range(3)]

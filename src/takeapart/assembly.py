@@ -134,7 +134,11 @@ def _check_names(assembly: Assembly) -> None:
         raise InputError("the assembly has no parts; at least one is needed", f"{assembly.name}: parts")
     if len(assembly.parts) > MAXIMUM_PARTS:
         raise InputError(f"{len(assembly.parts)} parts; at most {MAXIMUM_PARTS} are allowed", f"{assembly.name}: parts")
-    for kind, items in (("parts", assembly.parts), ("connectors", assembly.connectors)):
+    groups: list[tuple[str, tuple[Part | Connector, ...]]] = [
+        ("parts", assembly.parts),
+        ("connectors", assembly.connectors),
+    ]
+    for kind, items in groups:
         seen: dict[str, int] = {}
         for i, item in enumerate(items):
             where = f"{assembly.name}: {kind}[{i}].name"
@@ -216,7 +220,9 @@ def _check_overlap(assembly: Assembly) -> None:
         b = np.nonzero(near & (owner[a + 1 :] != owner[a]))[0] + a + 1
         if not len(b):
             continue
-        separation = box_separation(np.repeat(T[a : a + 1], len(b), 0), np.repeat(half[a : a + 1], len(b), 0), T[b], half[b])
+        separation = box_separation(
+            np.repeat(T[a : a + 1], len(b), 0), np.repeat(half[a : a + 1], len(b), 0), T[b], half[b]
+        )
         worst = int(np.argmin(separation))
         if separation[worst] < -OVERLAP_TOLERANCE:
             first, second = assembly.parts[owner[a]].name, assembly.parts[owner[b[worst]]].name

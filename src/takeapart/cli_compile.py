@@ -24,9 +24,9 @@ def compile_first(workcell: Workcell) -> None:
     Raises:
         InputError: the robot's files are missing.
     """
+    from takeapart.compilation import is_compiled
     from takeapart.motion import edges, legs, rrt, smooth
     from takeapart.robot import kernels
-    from takeapart.robot.compilation import is_compiled
     from takeapart.search import lattice, lattice_bounds
 
     if all(is_compiled(module) for module in (kernels, edges, legs, rrt, smooth, lattice, lattice_bounds)):

@@ -17,7 +17,15 @@ from takeapart.plan import Plan, PlanStep
 from takeapart.problem import AssemblyProblem, Guide
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Removal, Stage
-from takeapart.search.baselines import BeamOptions, OrderOptions, RestartOptions, beam, greedy, random_order, random_restarts
+from takeapart.search.baselines import (
+    BeamOptions,
+    OrderOptions,
+    RestartOptions,
+    beam,
+    greedy,
+    random_order,
+    random_restarts,
+)
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, ProgressListener, SearchResult
@@ -35,7 +43,8 @@ class PlanningOptions:
     """How a plan is made.
 
     Args:
-        search: "exact" (best order with a bound), "mcts" (Sec. V-B), "beam", "greedy" (shortest next removal), "restarts"
+        search: "exact" (best order with a bound), "mcts" (Sec. V-B), "beam", "greedy" (shortest next removal),
+            "restarts"
             (random orders, the best is kept) or "random" (one random order).
         seed: of all random choices.
         budget: when to stop searching.
@@ -167,7 +176,9 @@ def search(
     return random_order(problem, options.order, options.budget, rng, listen)
 
 
-def plan_of(problem: AssemblyProblem, result: SearchResult, options: PlanningOptions, seconds: float) -> Plan | Infeasible:
+def plan_of(
+    problem: AssemblyProblem, result: SearchResult, options: PlanningOptions, seconds: float
+) -> Plan | Infeasible:
     """The result of a search as a plan, or as the reason why there is none."""
     assembly, workcell = problem.assembly, problem.planner.workcell
     if not result.removals:

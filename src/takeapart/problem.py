@@ -118,7 +118,8 @@ class AssemblyProblem:
         """The removal query. What the library answers for certain costs nothing and is not counted.
 
         Returns:
-            The shortest removal known after asking, if it is shorter than `effort.shorter_than`, else why there is none.
+            The shortest removal known after asking, if it is shorter than `effort.shorter_than`, else why there is
+            none.
         """
         hindrance = self.hindrance(state, part)
         if hindrance is not None:

@@ -59,7 +59,9 @@ class RobotDescription:
         site = Path(str(specification.origin)).parents[1] if specification and specification.origin else Path()
         found = site / self.folder / relative
         if not found.is_file():
-            raise InputError(f"robot file {relative!r} not found; install it with: pip install example-robot-data", self.name)
+            raise InputError(
+                f"robot file {relative!r} not found; install it with: pip install example-robot-data", self.name
+            )
         return found
 
     def resolve(self, uri: str) -> Path:
@@ -136,7 +138,9 @@ class Workcell:
     def __post_init__(self) -> None:
         description = robot_description(self.robot, f"{self.name}: robot.model")
         if self.home.shape != (len(description.arm_joints),) or not np.isfinite(self.home).all():
-            raise InputError(f"must be {len(description.arm_joints)} finite joint angles, rad", f"{self.name}: robot.home")
+            raise InputError(
+                f"must be {len(description.arm_joints)} finite joint angles, rad", f"{self.name}: robot.home"
+            )
         if self.goal.shape != (3,) or not np.isfinite(self.goal).all():
             raise InputError("must be three finite coordinates, m", f"{self.name}: goal")
         if not 0 < self.lift_height <= 1:

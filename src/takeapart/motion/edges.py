@@ -1,7 +1,8 @@
 """Edges between two configurations: straight in joint space, or straight for the tool.
 
 An edge that is *straight for the tool* moves the point between the fingertips on the straight line between its ends,
-the shortest there is (Eq. 1); the rest of the arm's freedom (four of seven joints' worth) follows the interpolation of the
+the shortest there is (Eq. 1); the rest of the arm's freedom (four of seven joints' worth) follows the interpolation
+of the
 joint angles as closely as the line allows. Each row is the previous one plus its share of what is left to the end,
 projected onto the line by Newton's method on the tool's position.
 """
@@ -12,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from takeapart.compilation import compiled
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.kernels import FREE, check, collect, forward, jacobian, linear_jacobian, reach_of_joints
 
@@ -37,13 +38,13 @@ LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more wo
 LARGEST_MARGIN = 0.03  # m, of the padding by which a piece of motion is accepted with one check
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def is_free(scene: Scene, q: Floats) -> bool:
     """Whether a configuration touches nothing."""
     return check(scene.arm, scene.held, scene.world, scene.present, scene.padding, q, scene.work) == FREE
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def motion_bound(scene: Scene, a: Floats, b: Floats) -> float:
     """How far any point of arm and load moves at most between two near configurations, m (see `reach_of_joints`)."""
     reach_of_joints(scene.arm, scene.held, a, scene.work, scene.reach)
@@ -53,7 +54,7 @@ def motion_bound(scene: Scene, a: Floats, b: Floats) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def piece_free(scene: Scene, a: Floats, b: Floats, bound: float, step: float, q: Floats) -> bool:
     """Whether the straight joint-space motion between two near configurations is free.
 
@@ -71,7 +72,9 @@ def piece_free(scene: Scene, a: Floats, b: Floats, bound: float, step: float, q:
     done = 0
     while done < pieces:
         size = 1
-        while done % (2 * size) == 0 and 2 * size * bound / pieces <= 2.0 * LARGEST_MARGIN and done + 2 * size <= pieces:
+        while (
+            done % (2 * size) == 0 and 2 * size * bound / pieces <= 2.0 * LARGEST_MARGIN and done + 2 * size <= pieces
+        ):
             size *= 2
         while True:
             s = (done + 0.5 * size) / pieces
@@ -89,7 +92,7 @@ def piece_free(scene: Scene, a: Floats, b: Floats, bound: float, step: float, q:
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def joint_edge_free(scene: Scene, a: Floats, b: Floats, step: float, q: Floats) -> bool:
     """Whether the straight joint-space edge is free, end b included (see `piece_free`)."""
     bound = motion_bound(scene, a, b)
@@ -111,9 +114,11 @@ def joint_edge_free(scene: Scene, a: Floats, b: Floats, step: float, q: Floats) 
     return piece_free(scene, a, b, bound, step, q)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> bool:
-    """Moves q (n,) in place to the nearest configuration with the tool at a point, m; False if that fails or breaks limits."""
+    """Moves q (n,) in place to the nearest configuration with the tool at a point, m; False if that fails or breaks
+    limits.
+    """
     arm, J, work = scene.arm, scene.J, scene.work
     n = len(q)
     for _ in range(8):
@@ -146,18 +151,19 @@ def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> b
     return False
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, step: float, rows: Floats) -> int:
     """Rows (R, n) of the tool-straight edge from a to b, without a, with b; 0 if there is none that is free.
 
-    A coarse line is tried first, it ends most attempts. Rows are spaced so that nothing moves more than about `spacing`,
+    A coarse line is tried first, it ends most attempts. Rows are spaced so that nothing moves more than about
+    `spacing`,
     m, between them. The joint-space motion from row to row is free in the sense of `piece_free` with `step`.
     """
     bound = motion_bound(scene, a, b)
-    count = max(1, int(math.ceil(bound / spacing)))
+    count = max(1, math.ceil(bound / spacing))
     if count > len(rows):
         return 0
-    coarse = int(math.ceil(bound / COARSE_SPACING))
+    coarse = math.ceil(bound / COARSE_SPACING)
     if coarse > 2 and count >= 2 * coarse and not _tool_line(scene, a, b, coarse, rows, True):
         return 0
     if not _tool_line(scene, a, b, count, rows, False):
@@ -165,7 +171,7 @@ def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, step: float, r
     return count if _rows_free(scene, a, rows, count, spacing, step) else 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats, check_rows: bool) -> bool:
     """Writes `count` rows that follow the tool-straight edge; False if the projection fails or leaves its branch.
 
@@ -198,7 +204,7 @@ def _tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats, che
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rows_free(scene: Scene, a: Floats, rows: Floats, count: int, spacing: float, step: float) -> bool:
     """Whether the motion from a through the first rows is free: bisection first, then every piece."""
     if not is_free(scene, rows[count - 1]):
@@ -241,7 +247,7 @@ def _rows_free(scene: Scene, a: Floats, rows: Floats, count: int, spacing: float
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tool_positions(scene: Scene, rows: Floats, count: int, points: Floats) -> float:
     """Tool positions (count, 3), m, of the first rows; returns the length of the tool path, m (Eq. 2)."""
     length = 0.0
@@ -256,7 +262,7 @@ def tool_positions(scene: Scene, rows: Floats, count: int, points: Floats) -> fl
     return length
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def path_blockers(scene: Scene, rows: Floats, step: float, hits: Flags) -> bool:
     """Marks in `hits` (parts + 1,) every owner that the motion through the rows (M, n) may touch.
 
@@ -281,7 +287,11 @@ def path_blockers(scene: Scene, rows: Floats, step: float, hits: Flags) -> bool:
         done = 0
         while done < pieces:
             size = 1
-            while done % (2 * size) == 0 and 2 * size * bound / pieces <= 2.0 * LARGEST_MARGIN and done + 2 * size <= pieces:
+            while (
+                done % (2 * size) == 0
+                and 2 * size * bound / pieces <= 2.0 * LARGEST_MARGIN
+                and done + 2 * size <= pieces
+            ):
                 size *= 2
             while True:
                 s = (done + 0.5 * size) / pieces
@@ -296,9 +306,11 @@ def path_blockers(scene: Scene, rows: Floats, step: float, hits: Flags) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _settle(scene: Scene, q: Floats, margin: float, hits: Flags, near: Flags, last: bool) -> bool:
-    """Whether a piece of motion around q is decided: it touches nothing new; or, at the last size, what it touches is marked."""
+    """Whether a piece of motion around q is decided: it touches nothing new; or, at the last size, what it touches
+    is marked.
+    """
     for i in range(len(hits)):
         near[i] = hits[i]  # what is marked already needs no further look
     free = collect(scene.arm, scene.held, scene.world, scene.present, scene.padding + margin, q, scene.work, near)
@@ -312,9 +324,10 @@ def _settle(scene: Scene, q: Floats, margin: float, hits: Flags, near: Flags, la
     return last or not new
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def solve_symmetric(A: Floats, x: Floats) -> bool:
-    """Solves A y = x for a positive definite A (m, m), of which the lower triangle is read and overwritten; y replaces x.
+    """Solves A y = x for a positive definite A (m, m), of which the lower triangle is read and overwritten; y
+    replaces x.
 
     Cholesky's method; False if A is not positive definite.
     """
@@ -341,9 +354,10 @@ def solve_symmetric(A: Floats, x: Floats) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> bool:
-    """Rows (L, n) that lift the tool straight up from q_start, orientation kept, in equal steps; False if the arm cannot.
+    """Rows (L, n) that lift the tool straight up from q_start, orientation kept, in equal steps; False if the arm
+    cannot.
 
     Newton's method on all six coordinates, started at the row before, so all rows are on the branch of the first one.
     """
@@ -398,11 +412,12 @@ def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> boo
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def lift_branches(
     lifting: Scene, carrying: Scene, starts: Floats, height: float, step: float, rows: Floats, hits: Flags, good: Flags
 ) -> None:
-    """Lifts from every start configuration (S, n): rows (S, L, n), what each would hit (S, parts + 1), and which are possible.
+    """Lifts from every start configuration (S, n): rows (S, L, n), what each would hit (S, parts + 1), and which are
+    possible.
 
     Args:
         lifting: scene in which the load itself is not checked against the world.

@@ -5,29 +5,31 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from takeapart.compilation import compiled
 from takeapart.motion.edges import MAXIMUM_ROWS, Scene, is_free, project_to_point, tool_edge
 from takeapart.motion.rrt import next_random
-from takeapart.robot.arrays import Flags, Floats, WorldArrays
+from takeapart.robot.arrays import Flags, Floats, Indices, WorldArrays
 from takeapart.robot.kernels import ball_near_world, forward, mark_ball
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def mark_line(world: WorldArrays, a: Floats, b: Floats, radius: float, hits: Flags) -> None:
-    """Marks in `hits` (parts + 1,) every owner that a ball moving straight from a to b (3,), m, touches at its samples."""
+    """Marks in `hits` (parts + 1,) every owner that a ball moving straight from a to b (3,), m, touches at its
+    samples.
+    """
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    count = max(1, int(math.ceil(length / max(0.5 * radius, 0.004))))
+    count = max(1, math.ceil(length / max(0.5 * radius, 0.004)))
     for k in range(count + 1):
         s = k / count
         mark_ball(world, a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2]), radius, hits)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def line_free(world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float) -> bool:
     """Whether a ball can move straight from a to b (3,), m, as far as its samples tell."""
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    count = max(1, int(math.ceil(length / (2.0 * radius))))
+    count = max(1, math.ceil(length / (2.0 * radius)))
     for k in range(count + 1):
         s = k / count
         x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
@@ -36,7 +38,7 @@ def line_free(world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: 
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def nearest_free(scene: Scene, lifted: Floats, goals: Floats, most: int) -> Floats:
     """The free goal configurations (B, n) nearest in joint space to any of the lifted ones (A, n), nearest first."""
     n = goals.shape[1]
@@ -60,8 +62,8 @@ def nearest_free(scene: Scene, lifted: Floats, goals: Floats, most: int) -> Floa
     return found[:count].copy()
 
 
-@njit(cache=True, nogil=True)
-def near_pairs(lifted: Floats, goals: Floats, each: int) -> Floats:
+@compiled
+def near_pairs(lifted: Floats, goals: Floats, each: int) -> Indices:
     """Pairs (P, 2) of a lifted and a goal configuration, `each` goals per lifted one.
 
     First come all lifted configurations with their nearest goal in joint space, the nearest pair first, then all with
@@ -90,9 +92,10 @@ def near_pairs(lifted: Floats, goals: Floats, each: int) -> Floats:
     return pairs
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing: float, step: float) -> Floats:
-    """Rows (M, n) of a tool-straight path from a lifted configuration (A, n) to a goal one (G, n); (0, n) if none is found.
+    """Rows (M, n) of a tool-straight path from a lifted configuration (A, n) to a goal one (G, n); (0, n) if none is
+    found.
 
     Args:
         goals: configurations, free or not.
@@ -117,11 +120,12 @@ def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing:
     return np.empty((0, n))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def bends(
     world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float, samples: int, longest: float, seed: int
 ) -> Floats:
-    """Points (K, 4) at which a path of two straight legs from a to b can bend: x, y, z and its length, m; shortest first.
+    """Points (K, 4) at which a path of two straight legs from a to b can bend: x, y, z and its length, m; shortest
+    first.
 
     Points are drawn from the ellipsoid in which they keep the path short enough (the informed set of Gammell et al.,
     IROS 2014); those are dropped whose legs a small ball around the tool cannot pass.
@@ -160,7 +164,7 @@ def bends(
     return found[:kept][np.argsort(found[:kept, 3])]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def two_legs(
     scene: Scene,
     lifted: Floats,
@@ -198,7 +202,7 @@ def two_legs(
         if points[k, 3] >= shorter_than:
             break
         # A few of the nearest pairs for every point, others for other points.
-        for turn in range(3):
+        for _ in range(3):
             if tried == attempts:
                 return nothing
             pick = int(next_random(state) * len(pairs))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from takeapart.compilation import compiled
 from takeapart.motion.edges import Scene, joint_edge_free
-from takeapart.robot.arrays import Floats
+from takeapart.robot.arrays import Floats, Integers, RandomState
 
 
-@njit(cache=True, nogil=True)
-def next_random(state: Floats) -> float:
+@compiled
+def next_random(state: RandomState) -> float:
     """Uniform number in [0, 1) from a generator state (1,) of uint64. SplitMix64, Steele et al., OOPSLA 2014."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
@@ -22,7 +22,7 @@ def next_random(state: Floats) -> float:
     return float(z >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _nearest(nodes: Floats, count: int, q: Floats) -> int:
     best, found = math.inf, 0
     for k in range(count):
@@ -35,7 +35,7 @@ def _nearest(nodes: Floats, count: int, q: Floats) -> int:
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def rrt_connect(
     scene: Scene, starts: Floats, goals: Floats, iterations: int, stride: float, step: float, seed: int
 ) -> Floats:
@@ -97,8 +97,8 @@ def rrt_connect(
     return np.empty((0, n))
 
 
-@njit(cache=True, nogil=True)
-def _joined(nodes: Floats, parent: Floats, first: int, second: int) -> Floats:
+@compiled
+def _joined(nodes: Floats, parent: Integers, first: int, second: int) -> Floats:
     """Path from the root above node `first` of tree 0 to the root above node `second` (the same place) of tree 1."""
     length = 0
     k = first

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from takeapart.compilation import compiled
 from takeapart.motion.edges import (
     MAXIMUM_ROWS,
     Scene,
@@ -19,14 +19,14 @@ from takeapart.motion.rrt import next_random
 from takeapart.robot.arrays import Floats
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def dense(scene: Scene, path: Floats, step: float) -> Floats:
     """Rows of a joint path (M, n) spaced so that nothing moves more than `step`, m, from row to row."""
     rows = np.empty((MAXIMUM_ROWS, path.shape[1]))
     rows[0] = path[0]
     total = 1
     for k in range(1, len(path)):
-        count = max(1, int(math.ceil(motion_bound(scene, path[k - 1], path[k]) / step)))
+        count = max(1, math.ceil(motion_bound(scene, path[k - 1], path[k]) / step))
         for i in range(1, count + 1):
             if total == MAXIMUM_ROWS:
                 return np.empty((0, path.shape[1]))
@@ -36,9 +36,16 @@ def dense(scene: Scene, path: Floats, step: float) -> Floats:
     return rows[:total].copy()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def shorten(
-    scene: Scene, path: Floats, iterations: int, spacing: float, step: float, shorter_than: float, patience: int, seed: int
+    scene: Scene,
+    path: Floats,
+    iterations: int,
+    spacing: float,
+    step: float,
+    shorter_than: float,
+    patience: int,
+    seed: int,
 ) -> Floats:
     """A joint path with a shorter tool path and the same ends.
 
@@ -123,7 +130,7 @@ def shorten(
     return rows
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _spliced(rows: Floats, i: int, k: int, first: Floats, count: int, second: Floats, more: int) -> Floats:
     """Rows up to i, then the new ones (they end at row k), then what follows k."""
     total = i + 1 + count + more + len(rows) - k - 1

@@ -1,4 +1,5 @@
-"""Configurations with the tool at the goal position: its orientation is free (Sec. IV-A), so there is a four-dimensional set.
+"""Configurations with the tool at the goal position: its orientation is free (Sec. IV-A), so there is a
+four-dimensional set.
 
 The tool's position does not depend on what it holds, so one sample serves every grasp of every part.
 """
@@ -24,7 +25,9 @@ ORIENTATIONS = 240
 class GoalConfigurations:
     """Goal configurations of the bare arm, free of what never leaves; computed when first asked for."""
 
-    def __init__(self, workcell: Workcell, robot: RobotModel, ik: InverseKinematics, world: WorldArrays, padding: float) -> None:
+    def __init__(
+        self, workcell: Workcell, robot: RobotModel, ik: InverseKinematics, world: WorldArrays, padding: float
+    ) -> None:
         self._goal, self._robot, self._ik, self._world, self._padding = workcell.goal, robot, ik, world, padding
         self._found: Array | None = None
         self._lock = threading.Lock()

@@ -1,4 +1,6 @@
-"""Where a part can be gripped: every 2 cm along all four sides, from 3 cm off each end, both finger orders (Sec. VI)."""
+"""Where a part can be gripped: every 2 cm along all four sides, from 3 cm off each end, both finger orders (Sec.
+VI).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ def grasp_positions(length: float) -> Array:
     usable = length - 2 * END_MARGIN
     if usable < 0:
         return np.array([length / 2])
-    return END_MARGIN + SPACING * np.arange(int(np.floor(usable / SPACING + 1e-6)) + 1)
+    return END_MARGIN + SPACING * np.arange(int(np.floor(usable / SPACING + 1e-6)) + 1, dtype=float)
 
 
 def grasp_candidates(part: Part, maximum_opening: float) -> list[GraspCandidate]:

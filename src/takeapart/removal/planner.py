@@ -1,4 +1,6 @@
-"""The removal planner (Sec. IV-B): lift, grasp, inverse kinematics, path; everything found goes to the removal library."""
+"""The removal planner (Sec. IV-B): lift, grasp, inverse kinematics, path; everything found goes to the removal
+library.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,6 @@ from takeapart.robot.kernels import tool_poses
 from takeapart.robot.model import RobotModel, load_robot
 from takeapart.robot.world import build_world, owner_fields, with_field
 from takeapart.workcell import Workcell
-
 
 KEPT_WORLDS = 64  # clearance fields of states that are kept
 PLANNING_MARGIN = 1e-4  # m, kept while planning over what the final check asks for, so that it does not fail by a hair
@@ -100,7 +101,7 @@ class RemovalPlanner:
         self,
         assembly: Assembly,
         workcell: Workcell,
-        options: RemovalOptions = RemovalOptions(),  # noqa: B008 (frozen)
+        options: RemovalOptions = RemovalOptions(),
         robot: RobotModel | None = None,
     ) -> None:
         self.assembly, self.workcell, self.options = assembly, workcell, options
@@ -128,7 +129,9 @@ class RemovalPlanner:
         self._local = threading.local()
 
     def straight_line_bound(self, part: int) -> float:
-        """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any grasp."""
+        """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any
+        grasp.
+        """
         bounds = self.reach.bounds(part)
         return bounds[0][0] if bounds else math.inf
 
@@ -253,7 +256,14 @@ class RemovalPlanner:
                 longest = limit - self.workcell.lift_height
                 seed = int(rng.integers(1 << 62))
                 known[key] = bends(
-                    self._world_of(others), present, hand.lifted, self.workcell.goal, hand.radius, self.options.bend_samples, longest, seed
+                    self._world_of(others),
+                    present,
+                    hand.lifted,
+                    self.workcell.goal,
+                    hand.radius,
+                    self.options.bend_samples,
+                    longest,
+                    seed,
                 )
             points = known[key]
             if hand.line is not None and not hand.line & others:
@@ -290,8 +300,11 @@ class RemovalPlanner:
         return self._path(hand, branches, rows, work)
 
     def _spread(self, part: int, pending: list[int], limit: float, work: Workspace) -> list[int]:
-        """Pending grasps that can still be shorter, those with another position or approach than all before them first."""
-        first, later = [], []
+        """Pending grasps that can still be shorter, those with another position or approach than all before them
+        first.
+        """
+        first: list[int] = []
+        later: list[int] = []
         seen: set[tuple[int, ...]] = set()
         for number in pending:
             hand = self.reach.hand(part, number, work)
@@ -413,7 +426,9 @@ class RemovalPlanner:
 
     def _blame_path(self, part: int, others: int) -> int:
         """Parts that the straight line of every grasp meets; all others if there is no such part."""
-        lines = [self.reach.hand(part, number, self._workspace()).line for number in range(len(self.reach.bounds(part)))]
+        lines = [
+            self.reach.hand(part, number, self._workspace()).line for number in range(len(self.reach.bounds(part)))
+        ]
         common = others
         for line in lines:
             if line is not None:

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from takeapart.assembly import Assembly
-from takeapart.geometry import Array
+from takeapart.geometry import Array, pose_inverse
 from takeapart.motion.edges import Scene, lift_branches
 from takeapart.motion.legs import mark_line
 from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bound
 from takeapart.removal.masks import flags_of, state_of
-from takeapart.robot.arrays import HeldArrays, Workspace, WorldArrays
+from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import collect_hand, hand_hits_load
 from takeapart.robot.model import RobotModel, moved_load
@@ -119,7 +119,7 @@ class Reach:
     def _solve_hand(self, part: int, bound: float, candidate: GraspCandidate, work: Workspace) -> Hand:
         parts = len(self._assembly.parts)
         T_world_part = self._assembly.parts[part].T_world_part
-        T_tool_part = np.linalg.inv(candidate.T_part_tool)
+        T_tool_part = pose_inverse(candidate.T_part_tool)
         held = moved_load(self._load(part, candidate.width), T_tool_part)
         start = np.ascontiguousarray(T_world_part @ candidate.T_part_tool)
         end = start.copy()
@@ -159,7 +159,7 @@ class Reach:
         return tuple(LiftBranch(rows[s].copy(), state_of(hits[s])) for s in np.nonzero(good)[0])
 
 
-def _fingers_only(held: HeldArrays) -> Array:
+def _fingers_only(held: HeldArrays) -> Flags:
     """Flags for a load whose part is not checked against the world: it touches its neighbours while it is lifted."""
     flags = np.ones(len(held.half), dtype=np.uint8)
     flags[held.group[1] :] = 0

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 Flags = NDArray[np.uint8]
+Indices = NDArray[np.int64]
+RandomState = NDArray[np.uint64]  # (1,) state of a random generator
 
 
 FIELD_STEP = 0.002  # m, unit of the clearance field

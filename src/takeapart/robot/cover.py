@@ -1,6 +1,7 @@
 """Conservative cover of a convex mesh by spheres.
 
-Every small triangle of the surface lies wholly inside one sphere (a ball is convex, so it holds a triangle as soon as it
+Every small triangle of the surface lies wholly inside one sphere (a ball is convex, so it holds a triangle as soon
+as it
 holds its corners). The union of the spheres therefore contains the whole surface, and no solid obstacle can touch the
 mesh without touching a sphere.
 """
@@ -30,7 +31,9 @@ class SphereCover:
 
 
 def small_triangles(triangles: Array, edge: float) -> Array:
-    """The same surface (T, 3, 3) cut into triangles with no edge longer than `edge`, m; longest edges are halved first."""
+    """The same surface (T, 3, 3) cut into triangles with no edge longer than `edge`, m; longest edges are halved
+    first.
+    """
     done = []
     while len(triangles):
         lengths = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)  # (T, 3): edges 01, 12, 20

@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from takeapart.compilation import compiled
 from takeapart.robot.arrays import FIELD_STEP, ArmArrays, Flags, Floats, HeldArrays, Integers, Workspace, WorldArrays
 
 FREE, HIT_WORLD, HIT_SELF = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _place(work: Workspace, f: int, o: Floats, k: int) -> tuple[float, float, float]:
     """World coordinates of point k of an array (K, 3) given in link frame f."""
     R, p = work.R, work.p
@@ -25,7 +25,7 @@ def _place(work: Workspace, f: int, o: Floats, k: int) -> tuple[float, float, fl
     return x, y, z
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def forward(arm: ArmArrays, q: Floats, work: Workspace) -> None:
     """Poses of all links and of the tool at a configuration (n,), rad; written to the workspace."""
     R, p = work.R, work.p
@@ -52,7 +52,7 @@ def forward(arm: ArmArrays, q: Floats, work: Workspace) -> None:
         work.p_tool[i] = a * arm.T_tool[0, 3] + b * arm.T_tool[1, 3] + d * arm.T_tool[2, 3] + p[n, i]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def jacobian(work: Workspace, J: Floats) -> None:
     """Geometric Jacobian (6, n) of the tool: linear above angular velocity. Needs `forward` first."""
     linear_jacobian(work, J)
@@ -60,16 +60,20 @@ def jacobian(work: Workspace, J: Floats) -> None:
         J[3, k], J[4, k], J[5, k] = work.R[k + 1, 0, 2], work.R[k + 1, 1, 2], work.R[k + 1, 2, 2]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def linear_jacobian(work: Workspace, J: Floats) -> None:
     """The upper half of `jacobian`: linear velocity of the tool, rows 0 to 2 of J (6, n)."""
     for k in range(J.shape[1]):
         zx, zy, zz = work.R[k + 1, 0, 2], work.R[k + 1, 1, 2], work.R[k + 1, 2, 2]
-        dx, dy, dz = work.p_tool[0] - work.p[k + 1, 0], work.p_tool[1] - work.p[k + 1, 1], work.p_tool[2] - work.p[k + 1, 2]
+        dx, dy, dz = (
+            work.p_tool[0] - work.p[k + 1, 0],
+            work.p_tool[1] - work.p[k + 1, 1],
+            work.p_tool[2] - work.p[k + 1, 2],
+        )
         J[0, k], J[1, k], J[2, k] = zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ball_meets_box(x: float, y: float, z: float, r: float, c: Floats, A: Floats, h: Floats, w: int) -> bool:
     """Whether a ball touches box w of arrays of centres (W, 3), axes (W, 3, 3) and half sizes (W, 3)."""
     dx, dy, dz = x - c[w, 0], y - c[w, 1], z - c[w, 2]
@@ -79,7 +83,7 @@ def _ball_meets_box(x: float, y: float, z: float, r: float, c: Floats, A: Floats
     return ex * ex + ey * ey + ez * ez <= r * r
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def boxes_meet(ca: Floats, A: Floats, ha: Floats, cb: Floats, B: Floats, hb: Floats, padding: float) -> bool:
     """Whether two oriented boxes, the first one grown by `padding` on every side, overlap.
 
@@ -137,7 +141,7 @@ def boxes_meet(ca: Floats, A: Floats, ha: Floats, cb: Floats, B: Floats, hb: Flo
     return not abs(t1 * r02 - t0 * r12) > a0 * q12 + a1 * q02 + b0 * q21 + b1 * q20 + e
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cell(world: WorldArrays, x: float, y: float, z: float) -> int:
     """Number of the grid cell that holds a point; -1 outside of the grid, where nothing is near."""
     i = math.floor((x - world.origin[0]) / world.cell)
@@ -148,16 +152,16 @@ def _cell(world: WorldArrays, x: float, y: float, z: float) -> int:
     return int((i * world.shape[1] + j) * world.shape[2] + k)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _row(world: WorldArrays, r: float) -> int:
-    """Row of the grid for balls of radius r. Nobody may ask for larger ones than the last row serves (`build_world`)."""
+    """Row of the grid for balls of radius r. Nobody may ask for larger ones than the last row serves."""
     row = 0
     while row < len(world.row_radius) - 1 and world.row_radius[row] < r:
         row += 1
     return row
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def place_held(held: HeldArrays, work: Workspace) -> None:
     """World poses of the held boxes. Needs `forward` first."""
     R, p = work.R_tool, work.p_tool
@@ -169,7 +173,7 @@ def place_held(held: HeldArrays, work: Workspace) -> None:
                 work.box_axes[h, a, i] = R[i, 0] * A[h, a, 0] + R[i, 1] * A[h, a, 1] + R[i, 2] * A[h, a, 2]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _held_hits_world(
     held: HeldArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace, hits: Flags, collect: bool
 ) -> bool:
@@ -196,7 +200,13 @@ def _held_hits_world(
             if not _ball_meets_box(x, y, z, r, world.center, world.axes, world.half, w):
                 continue
             if boxes_meet(
-                work.box_center[h], work.box_axes[h], held.half[h], world.center[w], world.axes[w], world.half[w], padding
+                work.box_center[h],
+                work.box_axes[h],
+                held.half[h],
+                world.center[w],
+                world.axes[w],
+                world.half[w],
+                padding,
             ):
                 if not collect:
                     return True
@@ -205,7 +215,7 @@ def _held_hits_world(
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def ball_near_world(world: WorldArrays, present: Flags, x: float, y: float, z: float, r: float) -> bool:
     """Whether a ball touches any box that counts."""
     cell = _cell(world, x, y, z)
@@ -219,7 +229,7 @@ def ball_near_world(world: WorldArrays, present: Flags, x: float, y: float, z: f
     return False
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def mark_ball(world: WorldArrays, x: float, y: float, z: float, r: float, hits: Flags) -> None:
     """Marks in `hits` every owner that a ball touches."""
     cell = _cell(world, x, y, z)
@@ -232,9 +242,16 @@ def mark_ball(world: WorldArrays, x: float, y: float, z: float, r: float, hits: 
             hits[world.owner[w]] = 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def collect_hand(
-    arm: ArmArrays, held: HeldArrays, world: WorldArrays, present: Flags, padding: float, T: Floats, work: Workspace, hits: Flags
+    arm: ArmArrays,
+    held: HeldArrays,
+    world: WorldArrays,
+    present: Flags,
+    padding: float,
+    T: Floats,
+    work: Workspace,
+    hits: Flags,
 ) -> None:
     """Marks every owner that gripper, wrist and load touch with the tool at a pose T (4, 4), whatever the arm does."""
     n = len(arm.lower)
@@ -267,11 +284,15 @@ def collect_hand(
                 for e in range(world.start[row, cell], world.start[row, cell + 1]):
                     w = world.entry[e]
                     owner = world.owner[w]
-                    if present[owner] and not hits[owner] and _ball_meets_box(x, y, z, r, world.center, world.axes, world.half, w):
+                    if (
+                        present[owner]
+                        and not hits[owner]
+                        and _ball_meets_box(x, y, z, r, world.center, world.axes, world.half, w)
+                    ):
                         hits[owner] = 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
     """Whether palm, wrist or fingers touch what they must not touch of the carried part.
 
@@ -290,13 +311,19 @@ def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Works
     for f in range(held.group[0], held.group[1]):
         for h in range(held.first_wall, held.group[2]):
             if boxes_meet(
-                work.box_center[f], work.box_axes[f], held.half[f], work.box_center[h], work.box_axes[h], held.half[h], padding
+                work.box_center[f],
+                work.box_axes[f],
+                held.half[f],
+                work.box_center[h],
+                work.box_axes[h],
+                held.half[h],
+                padding,
             ):
                 return True
     return False
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tool_poses(arm: ArmArrays, rows: Floats, work: Workspace, positions: Floats, rotations: Floats) -> None:
     """Tool positions (M, 3), m, and rotations (M, 3, 3) of configurations (M, n)."""
     for k in range(len(rows)):
@@ -307,7 +334,7 @@ def tool_poses(arm: ArmArrays, rows: Floats, work: Workspace, positions: Floats,
                 rotations[k, i, j] = work.R_tool[i, j]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def place_bodies(arm: ArmArrays, work: Workspace) -> None:
     """World centres of the balls around the bodies. Needs `forward` first."""
     for b in range(len(arm.body_frame)):
@@ -315,7 +342,7 @@ def place_bodies(arm: ArmArrays, work: Workspace) -> None:
         work.body[b, 0], work.body[b, 1], work.body[b, 2] = x, y, z
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _arm_hits_world(
     arm: ArmArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace, hits: Flags, collect: bool
 ) -> bool:
@@ -346,7 +373,7 @@ def _arm_hits_world(
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspace) -> bool:
     for s in range(arm.body_start[a], arm.body_start[a + 1]):
         x, y, z = _place(work, arm.body_frame[a], arm.sphere_center, s)
@@ -361,12 +388,16 @@ def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspac
     return False
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hits_itself(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
     """Arm against itself and against what it holds. Needs `place_bodies` and `place_held`."""
     for k in range(len(arm.self_pairs)):
         a, b = arm.self_pairs[k, 0], arm.self_pairs[k, 1]
-        dx, dy, dz = work.body[a, 0] - work.body[b, 0], work.body[a, 1] - work.body[b, 1], work.body[a, 2] - work.body[b, 2]
+        dx, dy, dz = (
+            work.body[a, 0] - work.body[b, 0],
+            work.body[a, 1] - work.body[b, 1],
+            work.body[a, 2] - work.body[b, 2],
+        )
         if dx * dx + dy * dy + dz * dz > (arm.body_radius[a] + arm.body_radius[b] + padding) ** 2:
             continue
         if _bodies_touch(arm, a, b, padding, work):
@@ -398,7 +429,7 @@ def _hits_itself(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspa
     return False
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def check(
     arm: ArmArrays, held: HeldArrays, world: WorldArrays, present: Flags, padding: float, q: Floats, work: Workspace
 ) -> int:
@@ -419,7 +450,7 @@ def check(
     return HIT_SELF if _hits_itself(arm, held, padding, work) else FREE
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def collect(
     arm: ArmArrays,
     held: HeldArrays,
@@ -439,7 +470,7 @@ def collect(
     return not _hits_itself(arm, held, padding, work)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def reach_of_joints(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace, reach: Floats) -> None:
     """For every joint the greatest distance (n,), m, of anything it moves from its axis, at a configuration.
 
@@ -464,7 +495,7 @@ def reach_of_joints(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace
             reach[j] = max(reach[j], _distance_to_axis(work, j, x, y, z) + size)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _distance_to_axis(work: Workspace, j: int, x: float, y: float, z: float) -> float:
     zx, zy, zz = work.R[j + 1, 0, 2], work.R[j + 1, 1, 2], work.R[j + 1, 2, 2]
     dx, dy, dz = x - work.p[j + 1, 0], y - work.p[j + 1, 1], z - work.p[j + 1, 2]
@@ -472,7 +503,7 @@ def _distance_to_axis(work: Workspace, j: int, x: float, y: float, z: float) -> 
     return math.sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def grid_fill(
     center: Floats,
     axes: Floats,
@@ -485,7 +516,9 @@ def grid_fill(
     entry: Integers,
     count_only: bool,
 ) -> int:
-    """Lists for every grid cell the boxes within `reach` of its centre. First call counts into start[1:], second fills."""
+    """Lists for every grid cell the boxes within `reach` of its centre; one call counts into start[1:], a second
+    fills.
+    """
     total = 0
     lower, upper = np.zeros(3, np.int64), np.zeros(3, np.int64)
     for w in range(len(half)):
@@ -510,7 +543,7 @@ def grid_fill(
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def clearance_fields(
     center: Floats,
     axes: Floats,
@@ -527,7 +560,7 @@ def clearance_fields(
     In units of FIELD_STEP, rounded down; exact up to `reach`, m, and no more than that beyond.
     """
     slack = 0.5 * math.sqrt(3.0) * cell
-    largest = min(255, int(math.floor(reach / FIELD_STEP)))
+    largest = min(255, math.floor(reach / FIELD_STEP))
     fields[:] = largest
     lower, upper = np.zeros(3, np.int64), np.zeros(3, np.int64)
     for w in range(len(half)):
@@ -549,6 +582,6 @@ def clearance_fields(
                             total += e * e
                     steps = (math.sqrt(total) - slack) / FIELD_STEP
                     number = (i * shape[1] + j) * shape[2] + k
-                    value = max(0, int(math.floor(steps)))
+                    value = max(0, math.floor(steps))
                     if value < fields[owner[w], number]:
                         fields[owner[w], number] = value

@@ -8,11 +8,11 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import trimesh
 
+from takeapart.compilation import cache_folder
 from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox, pose_inverse
 from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
@@ -115,7 +115,12 @@ def moved_load(held: HeldArrays, T: Array) -> HeldArrays:
     """The same load with its part (not its fingers) moved by a pose (4, 4) in the tool frame."""
     first = held.group[1]
     R, t = T[:3, :3], T[:3, 3]
-    center, axes, probe, group = held.center.copy(), held.axes.copy(), held.probe_center.copy(), held.group_center.copy()
+    center, axes, probe, group = (
+        held.center.copy(),
+        held.axes.copy(),
+        held.probe_center.copy(),
+        held.group_center.copy(),
+    )
     center[first:] = center[first:] @ R.T + t
     axes[first:] = axes[first:] @ R.T
     of_part = held.probe_box >= first
@@ -139,7 +144,9 @@ def _probes(box: OrientedBox) -> list[tuple[Array, float]]:
     counts = np.maximum(1, np.ceil(2 * box.half_extents / edge - 1e-9).astype(int))
     cell = box.half_extents / counts
     radius = float(np.linalg.norm(cell)) + 1e-9
-    offsets = np.stack(np.meshgrid(*[(2 * np.arange(c) + 1) - c for c in counts], indexing="ij"), axis=-1).reshape(-1, 3)
+    offsets = np.stack(np.meshgrid(*[(2 * np.arange(c) + 1) - c for c in counts], indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     return [(box.T_frame_box[:3, 3] + box.T_frame_box[:3, :3] @ (offset * cell), radius) for offset in offsets]
 
 
@@ -168,7 +175,10 @@ def load_robot(workcell: Workcell) -> RobotModel:
         _link_cover(urdf, link, description, inflation) for link, inflation in zip(bodies, inflations, strict=True)
     ]
     centers = [c.centers @ T[:3, :3].T + T[:3, 3] for c, T in zip(covers, T_frame_body, strict=True)]
-    balls = [(middle := c.mean(axis=0), float((np.linalg.norm(c - middle, axis=1) + k.radii).max())) for c, k in zip(centers, covers, strict=True)]
+    balls = [
+        (middle := c.mean(axis=0), float((np.linalg.norm(c - middle, axis=1) + k.radii).max()))
+        for c, k in zip(centers, covers, strict=True)
+    ]
     radii = np.concatenate([c.radii for c in covers])
     allowed = _disabled_pairs(description)
     pairs = [
@@ -244,9 +254,13 @@ def _chain(
         joint = by_name.get(name)
         if joint is None or joint.get("type") != "revolute":
             kind = "missing" if joint is None else f"of type {joint.get('type')!r}"
-            raise InputError(f"joint {name!r} is {kind}; it must be revolute", f"{description.name}: {description.urdf}")
+            raise InputError(
+                f"joint {name!r} is {kind}; it must be revolute", f"{description.name}: {description.urdf}"
+            )
         if _text(joint, "parent", "link") != links[-1]:
-            raise InputError(f"joint {name!r} does not follow link {links[-1]!r}", f"{description.name}: {description.urdf}")
+            raise InputError(
+                f"joint {name!r} does not follow link {links[-1]!r}", f"{description.name}: {description.urdf}"
+            )
         turn = _align_z(_numbers(_text(joint, "axis", "xyz") or "1 0 0"))
         transforms.append(aligned[-1] @ _origin(joint) @ turn)
         lower.append(float(_text(joint, "limit", "lower")))
@@ -276,7 +290,9 @@ def _link_cover(urdf: ElementTree.Element, link: str, description: RobotDescript
     for element in _collision_elements(urdf, link):
         mesh = element.find("geometry/mesh")
         if mesh is None:
-            raise InputError(f"link {link!r} has collision geometry that is no mesh", f"{description.name}: {description.urdf}")
+            raise InputError(
+                f"link {link!r} has collision geometry that is no mesh", f"{description.name}: {description.urdf}"
+            )
         path = description.resolve(mesh.get("filename", ""))
         found = _mesh_cover(str(path), hashlib.sha256(path.read_bytes()).hexdigest(), inflation)
         T = _origin(element)
@@ -284,14 +300,10 @@ def _link_cover(urdf: ElementTree.Element, link: str, description: RobotDescript
     if not parts:
         raise InputError(f"link {link!r} has no collision geometry", f"{description.name}: {description.urdf}")
     return SphereCover(
-        np.concatenate([p.centers for p in parts]), np.concatenate([p.radii for p in parts]), max(p.inflation for p in parts)
+        np.concatenate([p.centers for p in parts]),
+        np.concatenate([p.radii for p in parts]),
+        max(p.inflation for p in parts),
     )
-
-
-def cache_folder() -> Path:
-    """Where results that only cost time are kept: TAKEAPART_CACHE, or takeapart/ in the user's cache folder."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(os.environ.get("TAKEAPART_CACHE") or str(Path(base) / "takeapart"))
 
 
 @lru_cache(maxsize=64)

@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from takeapart.assembly import members
+from takeapart.compilation import compiled
 from takeapart.errors import InputError
 from takeapart.problem import Problem
 
@@ -206,7 +206,7 @@ def _assemble(parts: tuple[int, ...], layers: list[Words], edges: list[_Layer]) 
     return Lattice(parts, states, first_edge, edge_part, child, goal, part_edge, part_source, first_of_part)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _may_leave(state, hindered, k):  # type: ignore[no-untyped-def]
     if not (state[k >> 6] >> np.uint64(k & 63)) & np.uint64(1):
         return False
@@ -216,7 +216,7 @@ def _may_leave(state, hindered, k):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _count_candidates(layer, hindered):  # type: ignore[no-untyped-def]
     degree = np.zeros(layer.shape[0], np.int64)
     for i in range(layer.shape[0]):
@@ -226,7 +226,7 @@ def _count_candidates(layer, hindered):  # type: ignore[no-untyped-def]
     return degree
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _expand_layer(layer, hindered, part, child, states, slots):  # type: ignore[no-untyped-def]
     """Fill edges and next states, found by open addressing in `slots`; their number, or -1 if `states` is too small."""
     words, capacity = layer.shape[1], states.shape[0]
@@ -268,7 +268,7 @@ def _expand_layer(layer, hindered, part, child, states, slots):  # type: ignore[
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _group_by_part(first_edge, edge_part, position, part_edge, part_source):  # type: ignore[no-untyped-def]
     for i in range(first_edge.shape[0] - 1):
         for e in range(first_edge[i], first_edge[i + 1]):
@@ -278,7 +278,7 @@ def _group_by_part(first_edge, edge_part, position, part_edge, part_source):  # 
             position[k] += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _intersection(states, rows):  # type: ignore[no-untyped-def]
     common = states[rows[0]].copy()
     for row in rows:
@@ -287,7 +287,7 @@ def _intersection(states, rows):  # type: ignore[no-untyped-def]
     return common
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def cost_to_go(first_edge, child, cost, rows, value):  # type: ignore[no-untyped-def]
     """Cheapest sum of edge costs from every state to the goal, by one backward sweep.
 
@@ -304,7 +304,7 @@ def cost_to_go(first_edge, child, cost, rows, value):  # type: ignore[no-untyped
         value[i] = best
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def cost_from_root(first_edge, child, cost, rows, value):  # type: ignore[no-untyped-def]
     """Cheapest sum of edge costs from the root to every state that `rows` lead to, by one forward sweep.
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from takeapart.compilation import compiled
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.lattice import Lattice, Values, cost_from_root, cost_to_go, pack
 
@@ -161,7 +161,7 @@ class SequenceBounds:
         return steps
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _take_removal(states, sources, edges, blockers, length, lower, upper):  # type: ignore[no-untyped-def]
     """Lower `upper` where the removal is valid; whether `lower` had to follow."""
     fell = False
@@ -181,7 +181,7 @@ def _take_removal(states, sources, edges, blockers, length, lower, upper):  # ty
     return fell
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _take_closed(states, sources, edges, closed, cost, lower, upper):  # type: ignore[no-untyped-def]
     for j in range(edges.shape[0]):
         e = edges[j]
