@@ -38,7 +38,7 @@ types: $(READY)  ## type check of sources and tests
 	$(BIN)/mypy
 
 bench: $(READY)  ## the figures of docs/benchmarks.md
-	$(BIN)/python -m takeapart.benchmarks
+	$(BIN)/python -m takeapart.experiments.speed --write docs/benchmarks.md
 
 wheel: $(READY)  ## dist/*.whl
 	$(BIN)/python -m build --no-isolation --outdir dist .

@@ -172,8 +172,8 @@ def test_shipped_workcell() -> None:
     np.testing.assert_array_equal(panda.goal, [-0.25, -0.20, 0.35])
     assert (panda.lift_height, panda.clearance, panda.home.shape) == (0.05, 0.001, (7,))
     corners = {obstacle.name: obstacle.box.corners() for obstacle in panda.environment}
-    assert corners["table"][:, 2].max() == pytest.approx(0.0, abs=1e-12)
-    assert corners["pedestal"][:, 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert corners["table"][:, 2].max() == pytest.approx(-0.002, abs=1e-12)
+    assert corners["pedestal"][:, 2].min() == pytest.approx(-0.002, abs=1e-12)
     assert corners["pedestal"][:, 2].max() == pytest.approx(panda.T_world_base[2, 3])
     for point in [panda.T_world_base[:3, 3], panda.goal, np.zeros(3), np.array([0.4, 0.4, 0.6]), *corners["pedestal"]]:
         assert (corners["table"][:, :2].min(axis=0) <= point[:2]).all() and (

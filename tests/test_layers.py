@@ -36,6 +36,7 @@ schemas
 documents
 serialization
 files
+run*
 planning
 verification*
 export*
@@ -58,6 +59,7 @@ CONFINED = {
     "ssik": ("robot.ik",),
     "pydantic": ("schemas",),
     "pydantic_core": ("schemas", "messages"),
+    "sqlite3": ("run_journal",),
     "click": ("cli*",),
     "rich": ("cli*",),
 }

@@ -150,7 +150,7 @@ def test_a_part_out_of_reach() -> None:
     made = plan(alone, replace(scene_workcell(), T_world_base=base), OPTIONS)
     assert isinstance(made, Infeasible)
     assert made.hindrances == (Hindrance("stub", "ik", ()),)
-    assert str(made).endswith("stub: is out of the arm's reach (stage ik)")
+    assert str(made).endswith("stub: the arm cannot reach it without a collision (stage ik)")
 
 
 def test_a_budget_that_ran_out_proves_nothing() -> None:

@@ -72,13 +72,13 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def joints(found: dict[str, Body]) -> set[tuple[str, str]]:
-    """(host, guest) wherever the short side of a bar is within 0.6 mm of the long side of another: geometry alone."""
+    """(host, guest) wherever the short side of a bar is within 3.1 mm of the long side of another: geometry alone."""
     pairs = set()
     for guest, g in found.items():
         across = [k for k in range(3) if k != g.axis]
         for host, h in found.items():
             between = gaps(g.bar[None], h.bar[None])[0, 0]
-            if host != guest and h.axis != g.axis and abs(between[g.axis]) < 6e-4 and (between[across] < -1e-6).all():
+            if host != guest and h.axis != g.axis and abs(between[g.axis]) < 3.1e-3 and (between[across] < -1e-6).all():
                 pairs.add((host, guest))
     return pairs
 
@@ -198,7 +198,7 @@ def test_walls_have_their_slack_and_length(kind: str) -> None:
             reach = np.sort(np.abs(walls[:, :, axis] - face), axis=1)
             assert np.allclose(reach, [0.0005, 0.02])
             end_gap = abs(guest.bar[1 if upper else 0, axis] - face)
-            assert end_gap == pytest.approx(0.0 if axis == 2 else 0.0005, abs=1e-9)
+            assert end_gap == pytest.approx(0.0 if axis == 2 else 0.003, abs=1e-9)
             sides = sorted(
                 (k, sign, round(1e3 * gap, 6))
                 for wall in walls
@@ -290,7 +290,7 @@ def test_back_and_front_bars_lie_where_section_iv_a_puts_them(kind: str) -> None
                 continue
             layer = int(name.split("_")[1])
             assert body.centre[2] == pytest.approx(options.height * (layer + 1) / (options.layers + 1))
-            if body.axis == 0 and body.bar[1, 0] - body.bar[0, 0] > 0.358:
+            if body.axis == 0 and body.bar[1, 0] - body.bar[0, 0] > 0.353:
                 continue  # not cut: added as it is
             lower, upper = (body.bar[:, 0] if body.axis == 0 else np.full(2, body.centre[0])).tolist()
             if region == "back":
@@ -312,7 +312,7 @@ def test_both_directions_occur_and_layers_with_and_without_a_support(kind: str) 
         inner = [body for name, body in found.items() if name.startswith(("back", "front"))]
         along_x += sum(body.axis == 0 for body in inner)
         along_y += sum(body.axis == 1 for body in inner)
-        uncut += sum(body.bar[1, 0] - body.bar[0, 0] > 0.358 for body in inner)
+        uncut += sum(body.bar[1, 0] - body.bar[0, 0] > 0.353 for body in inner)
     assert 0.25 < along_x / (along_x + along_y) < 0.75
     assert with_support > without > 0
     assert uncut > 0

@@ -49,7 +49,7 @@ def rests_on(assembly: Assembly) -> dict[int, frozenset[int]]:
                 continue
             gap = np.maximum(host[0] - guest[1], guest[0] - host[1])
             across = [k for k in range(3) if k != axes[i]]
-            if abs(gap[axes[i]]) > 6e-4 or (gap[across] > -1e-6).any():
+            if abs(gap[axes[i]]) > 3.1e-3 or (gap[across] > -1e-6).any():
                 continue
             if axes[i] == 2 and host[0, 2] > guest[0, 2]:
                 continue  # above a bar along z

@@ -77,6 +77,7 @@ def scene_workcell() -> Workcell:
         T_world_base=pose([-0.45, 0.1, 0.0]),
         home=np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]),
         goal=np.array([-0.05, -0.30, 0.42]),
+        clearance=0.0005,  # what the fingertips keep from the block under the loose bar
         environment=(Obstacle("table", OrientedBox(pose([0.0, 0.0, -0.1]), np.array([0.7, 0.7, 0.04]))),),
     )
 

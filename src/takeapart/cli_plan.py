@@ -87,6 +87,13 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
 @click.option(
     "--out", type=FILE, help="The plan file.  [default: <name of the assembly file>.plan.json in the current folder]"
 )
+@click.option(
+    "--run",
+    type=FILE,
+    metavar="DIR",
+    help="Keep all that is planned in this directory at once. Given again, the same command continues a run that was "
+    "killed or stopped, and ends with the same plan.",
+)
 @json_option
 def plan(
     assembly: Path,
@@ -100,6 +107,7 @@ def plan(
     attempts: int,
     workers: int | None,
     out: Path | None,
+    run: Path | None,
     as_json: bool,
 ) -> None:
     """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
@@ -118,7 +126,7 @@ def plan(
     product, cell = load_assembly(assembly), load_workcell(workcell)
     require_output(out, assembly, Path(workcell))
     options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1)
-    made, interrupted = make_plan(product, cell, options)
+    made, interrupted = make_plan(product, cell, options, run)
     saved = save_or_explain(made, interrupted, out, as_json)
     if as_json:
         print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
@@ -154,25 +162,44 @@ def options_of(
     )
 
 
-def make_plan(assembly: Assembly, workcell: Workcell, options: PlanningOptions) -> tuple[Plan | Infeasible, bool]:
+def make_plan(
+    assembly: Assembly, workcell: Workcell, options: PlanningOptions, run: Path | None = None
+) -> tuple[Plan | Infeasible, bool]:
     """Plans with a progress bar, after the kernels are compiled.
+
+    Args:
+        run: directory of a run that is started or continued; by default nothing is kept before the end.
 
     Returns:
         the plan or why there is none, and whether Ctrl-C ended the search.
 
     Raises:
-        InputError: a part floats, or the robot's files are missing.
+        InputError: a part floats, the robot's files are missing, or the run directory is refused.
     """
-    from takeapart.planning import build_problem, plan_of, search
+    from takeapart.planning import build_problem, plan_in_run, plan_of, run_identity, search
+    from takeapart.run import finished_plan, open_run
     from takeapart.stability import require_support
 
     require_support(assembly)  # before a minute of compiling
-    compile_first(workcell)
-    with progress_bar(f"planning {assembly.name}, {options.search}") as update:
-        problem = build_problem(assembly, workcell, options)
-        started = time.monotonic()
-        result = search(problem, options, listen=search_listener(update, options.budget))
-        return plan_of(problem, result, options, time.monotonic() - started), result.interrupted
+    title = f"planning {assembly.name}, {options.search}"
+    if run is None:
+        compile_first(workcell)
+        with progress_bar(title) as update:
+            problem = build_problem(assembly, workcell, options)
+            started = time.monotonic()
+            result = search(problem, options, listen=search_listener(update, options.budget))
+            return plan_of(problem, result, options, time.monotonic() - started), result.interrupted
+    identity = run_identity(assembly, workcell, options)
+    known = finished_plan(run, identity)
+    if known is not None:
+        note(f"the run in {run} has ended; this is its plan")
+        return known, False
+    with open_run(run, identity) as opened:
+        if opened.journal.answers:
+            note(f"continuing the run in {run}, which has {opened.journal.answers} answers of the planner")
+        compile_first(workcell)
+        with progress_bar(title) as update:
+            return plan_in_run(opened, assembly, workcell, options, listen=search_listener(update, options.budget))
 
 
 def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:

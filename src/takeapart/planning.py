@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import time
-from dataclasses import asdict, dataclass, field
-from typing import Literal, get_args
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Literal, cast, get_args
 
 import numpy as np
 
@@ -15,8 +16,10 @@ from takeapart.assembly import Assembly
 from takeapart.errors import UnknownNameError
 from takeapart.plan import Plan, PlanStep
 from takeapart.problem import AssemblyProblem, Guide
+from takeapart.removal.journal import QueryJournal
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Removal, Stage
+from takeapart.run import Identity, Run, RunBudget, finished_plan, open_run
 from takeapart.search.baselines import (
     BeamOptions,
     OrderOptions,
@@ -120,6 +123,7 @@ def plan(
     options: PlanningOptions | None = None,
     guide: Guide | None = None,
     listen: ProgressListener | None = None,
+    run: Path | None = None,
 ) -> Plan | Infeasible:
     """Plans the disassembly of an assembly in a workcell.
 
@@ -129,22 +133,85 @@ def plan(
         options: search, seed and budget; by default exact search until the best order is proved.
         guide: a learned ranking of parts, for the searches that take one.
         listen: is told about progress.
+        run: a directory in which all that is planned is kept at once; with it, a call that was cut off, however that
+            happened, is continued by the same call, and the plan is the same. See `takeapart.run`.
 
     Returns:
         The shortest plan found within the budget (also after Ctrl-C), or why there is none.
 
     Raises:
-        InputError: a part floats, or the robot's files are missing.
+        InputError: a part floats, or the robot's files are missing; the run directory is that of another run, in use,
+            damaged, or cannot be written.
     """
     options = options or PlanningOptions()
-    problem = build_problem(assembly, workcell, options)
-    started = time.monotonic()
-    result = search(problem, options, guide, listen)
-    return plan_of(problem, result, options, time.monotonic() - started)
+    if run is None:
+        problem = build_problem(assembly, workcell, options)
+        started = time.monotonic()
+        result = search(problem, options, guide, listen)
+        return plan_of(problem, result, options, time.monotonic() - started)
+    require_support(assembly)
+    identity = run_identity(assembly, workcell, options, guide)
+    known = finished_plan(run, identity)
+    if known is not None:
+        return known
+    with open_run(run, identity) as opened:
+        return plan_in_run(opened, assembly, workcell, options, guide, listen)[0]
 
 
-def build_problem(assembly: Assembly, workcell: Workcell, options: PlanningOptions | None = None) -> AssemblyProblem:
+def plan_in_run(
+    run: Run,
+    assembly: Assembly,
+    workcell: Workcell,
+    options: PlanningOptions,
+    guide: Guide | None = None,
+    listen: ProgressListener | None = None,
+) -> tuple[Plan | Infeasible, bool]:
+    """Searches from where a run was cut off, and keeps the plan in it once the search has ended by itself.
+
+    Returns:
+        what `plan` returns, and whether Ctrl-C ended the search.
+
+    Raises:
+        InputError: as `plan`.
+    """
+    problem = build_problem(assembly, workcell, options, run.journal)
+    run.journal.start()
+    # `RunBudget` has the attributes of `Budget`; its seconds change while answers are recalled.
+    result = search(
+        problem, replace(options, budget=cast(Budget, RunBudget(options.budget, run.journal))), guide, listen
+    )
+    made = plan_of(problem, result, options, run.journal.seconds)
+    if isinstance(made, Plan) and not result.interrupted:
+        run.finish(made)
+    return made, result.interrupted
+
+
+def run_identity(
+    assembly: Assembly, workcell: Workcell, options: PlanningOptions, guide: Guide | None = None
+) -> Identity:
+    """All that shapes a plan, as the description of a run holds it. The number of threads shapes nothing."""
+    described = asdict(options)
+    del described["seed"], described["exact"]["workers"]
+    return {
+        "assembly": {"name": assembly.name, "hash": assembly_hash(assembly)},
+        "workcell": {"name": workcell.name, "hash": workcell_hash(workcell)},
+        "seed": options.seed,
+        "options": described,
+        "guide": guide is not None,
+        "versions": versions(),
+    }
+
+
+def build_problem(
+    assembly: Assembly,
+    workcell: Workcell,
+    options: PlanningOptions | None = None,
+    journal: QueryJournal | None = None,
+) -> AssemblyProblem:
     """The decision process that the searches work on.
+
+    Args:
+        journal: answers the queries that were answered before, and keeps the others.
 
     Raises:
         InputError: a part floats, or the robot's files are missing.
@@ -152,7 +219,7 @@ def build_problem(assembly: Assembly, workcell: Workcell, options: PlanningOptio
     options = options or PlanningOptions()
     require_support(assembly)
     planner = RemovalPlanner(assembly, workcell, options.removal)
-    return AssemblyProblem(planner, ConnectorStability(assembly), options.seed)
+    return AssemblyProblem(planner, ConnectorStability(assembly), options.seed, journal=journal)
 
 
 def search(

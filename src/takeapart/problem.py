@@ -14,6 +14,7 @@ import numpy as np
 
 from takeapart.assembly import Assembly, members
 from takeapart.removal.bounds import EdgeBounds
+from takeapart.removal.journal import QueryJournal, RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
 from takeapart.stability import Stability
@@ -63,13 +64,22 @@ class AssemblyProblem:
         stability: what gravity lets go.
         seed: of all random choices of the planner.
         library: removals and closed edges known before; by default none.
+        journal: answers queries that were answered before, and keeps the others. A recalled answer counts as it did
+            when it was planned.
     """
 
     def __init__(
-        self, planner: RemovalPlanner, stability: Stability, seed: int = 0, library: EdgeBounds | None = None
+        self,
+        planner: RemovalPlanner,
+        stability: Stability,
+        seed: int = 0,
+        library: EdgeBounds | None = None,
+        journal: QueryJournal | None = None,
     ) -> None:
         assembly = planner.assembly
-        self.planner, self.stability, self.seed = planner, stability, seed
+        self.planner, self.stability, self.seed, self.journal = planner, stability, seed, journal
+        if journal is not None:
+            planner.counts = ThreadCounts(planner.counts.motion_plans, planner.counts.removal_queries)
         self.root = assembly.root
         self.counts: Counts = planner.counts
         movable = members(self.root)
@@ -152,6 +162,21 @@ class AssemblyProblem:
             self.counts.removal_queries += 1
             turn = self._asked.get((state, part), 0)
             self._asked[state, part] = turn + 1
+        query = RemovalQuery(state, part, turn, attempts, limit)
+        if self.journal is None:
+            return self._plan(query)
+        recorded = self.journal.recall(query)
+        if recorded is not None:
+            self.counts.motion_plans += recorded.motion_plans
+            return recorded.answer
+        assert isinstance(self.counts, ThreadCounts)
+        before = self.counts.of_this_thread
+        answer = self._plan(query)
+        self.journal.record(query, RecordedAnswer(answer, self.counts.of_this_thread - before))
+        return answer
+
+    def _plan(self, query: RemovalQuery) -> Removal | Blocked:
+        state, part = query.state, query.part
         words = [state >> shift & 0xFFFFFFFF for shift in range(0, max(state.bit_length(), 1), 32)]
-        rng = np.random.default_rng([self.seed, part, turn, *words])
-        return self.planner.plan(part, state, rng=rng, shorter_than=limit, attempts=attempts)
+        rng = np.random.default_rng([self.seed, part, query.turn, *words])
+        return self.planner.plan(part, state, rng=rng, shorter_than=query.shorter_than, attempts=query.attempts)

@@ -49,8 +49,9 @@ class Replay:
         self.assembly = assembly
         self.workcell = workcell
         self.options = options
-        self.scene = Scene(assembly, workcell, max(options.sight, options.clearance))
-        self.neighbours = self.scene.touching_at_start(max(options.touching, options.clearance + options.penetration))
+        self.clearance = options.demanded_clearance(workcell)  # m
+        self.scene = Scene(assembly, workcell, max(options.sight, self.clearance + 2 * ROUGHNESS))
+        self.neighbours = self.scene.touching_at_start(max(options.touching, self.clearance + options.penetration))
 
     def check_placement(self) -> list[Finding]:
         """Arm, assembly and environment do not stand in each other before anything moves."""
@@ -142,16 +143,24 @@ class Replay:
                 message = f"{finger} does not touch {step.part!r}"
                 findings.append(Finding(k, step.part, 0.0, "finger_contact", message, gap))
         for link in rigid_links(scene):
-            deepest = min(
-                scene.distance(a, b)
-                + (options.penetration if link in scene.description.finger_links and b in body else 0)
+            shortfall, distance = max(
+                (self._required_of_hand(link, b in body) - gap, gap)
                 for a in scene.geoms(link)
                 for b in held
+                for gap in (scene.distance(a, b),)
             )
-            if deepest < 0:
-                message = f"{link} cuts into held/{step.part}"
-                findings.append(Finding(k, step.part, 0.0, "collision", message, -deepest))
+            if shortfall > 0:
+                kind = "cuts into" if distance < 0 else f"is only {1e3 * distance:.3f} mm from"
+                message = f"{link} {kind} held/{step.part}"
+                findings.append(Finding(k, step.part, 0.0, "collision", message, -distance))
         return findings
+
+    def _required_of_hand(self, link: str, of_part: bool) -> float:
+        """Distance, m, that a link which moves with the held part keeps from it: fingers touch the part itself, but
+        not the connectors that it carries."""
+        if link in self.scene.description.finger_links:
+            return -self.options.penetration if of_part else self.clearance
+        return self.clearance
 
     def _check_collisions(
         self, step: PlanStep, k: int, number: int, samples: Samples
@@ -165,11 +174,11 @@ class Replay:
         for s, configuration in enumerate(samples.configurations):
             scene.place(configuration)
             for (a, b), rough in self._pairs().items():
-                required, start = options.clearance, None
+                required, start = self.clearance, None
                 if s < samples.lifted and (a in twin) != (b in twin):
                     start = self.neighbours.get((twin.get(a, a), twin.get(b, b)))
                 if start is not None:
-                    required = max(min(options.clearance, start - options.penetration), -options.penetration)
+                    required = max(min(self.clearance, start - options.penetration), -options.penetration)
                 closest = clearance.distance if clearance is not None else math.inf
                 if rough >= (required if start is not None else max(required, closest)) + ROUGHNESS:
                     continue

@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
+from takeapart.workcell import Workcell
+
 CheckName = Literal[
     "schema",
     "hash",
@@ -33,7 +35,9 @@ class VerificationOptions:
     """Bounds of every check. Lengths in m, angles in rad; defaults are the project's definition of a trusted plan.
 
     Args:
-        clearance: least distance between things that may not touch; 0 forbids contact only.
+        clearance: least distance between things that may not touch; 0 forbids contact only; None: that of the workcell.
+            Neighbours that start closer than this must keep, during the lift, the distance at which they start.
+        clearance_tolerance: of the clearance; rounding of files, and of distances between curved meshes.
         sight: distances below this are measured; the smallest clearance is reported up to here.
         tool_step: no point of tool or held part moves more than this between two checked configurations ...
         joint_step: ... and no joint turns more than this.
@@ -53,7 +57,8 @@ class VerificationOptions:
             tips more than this is a finding.
     """
 
-    clearance: float = 0.0
+    clearance: float | None = None
+    clearance_tolerance: float = 5e-5
     sight: float = 0.003
     tool_step: float = 0.001
     joint_step: float = math.radians(0.5)
@@ -73,6 +78,11 @@ class VerificationOptions:
     physics_seconds: float = 2.0
     physics_shift: float = 0.005
     physics_tilt: float = math.radians(5.0)
+
+    def demanded_clearance(self, workcell: Workcell) -> float:
+        """Distance below which things that may not touch are reported, m."""
+        clearance = workcell.clearance if self.clearance is None else self.clearance
+        return max(clearance - self.clearance_tolerance, 0.0)
 
 
 @dataclass(frozen=True)

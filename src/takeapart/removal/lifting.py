@@ -21,7 +21,7 @@ def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) 
     edges = np.column_stack([R, up]).T  # (4, 3) edge directions of the swept box
     normals = np.concatenate([R.T, np.cross(up, R.T)])  # its face normals
     others = np.swapaxes(T[:, :3, :3], 1, 2)  # (W, 3, 3), rows are axes
-    crosses = np.cross(edges[None, :, None, :], others[:, None, :, :]).reshape(len(T), -1, 3)
+    crosses = np.cross(edges[None, :, None, :], others[:, None, :, :]).reshape(len(T), 12, 3)
     axes = np.concatenate([np.repeat(normals[None], len(T), 0), others, crosses], axis=1)
     norms = np.linalg.norm(axes, axis=2, keepdims=True)
     axes = np.where(norms < 1e-6, R[:, 0], axes / np.where(norms < 1e-6, 1.0, norms))

@@ -159,6 +159,8 @@ class RemovalPlanner:
         limit = shorter_than
         for _ in range(attempts):
             found = self._attempt(part, others, rng, limit)
+            if isinstance(found, Removal) and found.length >= limit:
+                found = Blocked(part, "path", self._blame_path(part, others))  # shortening did not get it below
             if isinstance(found, Removal):
                 best, limit = found, found.length
                 if limit <= self.straight_line_bound(part) + self.options.tolerance:

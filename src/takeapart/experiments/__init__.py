@@ -1,0 +1,1 @@
+"""Experiments whose results stand in the documents; each module is a command that says so there."""

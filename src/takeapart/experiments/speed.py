@@ -1,0 +1,182 @@
+"""How fast the geometry is: removal queries, random orders, MCTS, configuration checks. ``python -m takeapart.experiments.speed``.
+
+All figures are wall times of one thread. Kernels are compiled before anything is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from takeapart.assembly import Assembly
+from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.plan import Plan
+from takeapart.planning import PlanningOptions, plan_of, search
+from takeapart.problem import AssemblyProblem
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.removal.reach import Reach
+from takeapart.removal.result import Effort, Removal
+from takeapart.robot.ik import InverseKinematics
+from takeapart.robot.kernels import FREE, check
+from takeapart.robot.model import RobotModel, load_robot
+from takeapart.search.result import Budget
+from takeapart.stability import ConnectorStability
+from takeapart.workcell import Workcell
+
+Row = tuple[str, str, str]
+"""What was measured, the figure, and what it should be."""
+
+
+def new_problem(assembly: Assembly, workcell: Workcell, robot: RobotModel, seed: int = 0) -> AssemblyProblem:
+    """A decision process with an empty library; goal configurations are solved, grasps are not."""
+    planner = RemovalPlanner(assembly, workcell, robot=robot)
+    planner.goals.all(robot.workspace())
+    return AssemblyProblem(planner, ConnectorStability(assembly), seed)
+
+
+def random_edges(problem: AssemblyProblem, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Edges (state, part) on random orders that gravity and lifting allow, whatever the arm can do."""
+    edges = []
+    while len(edges) < count:
+        state = problem.root
+        visited = []
+        while state:
+            part = int(rng.choice(problem.candidates(state)))
+            visited.append((state, part))
+            state &= ~(1 << part)
+        edges.append(visited[int(rng.integers(len(visited)))])
+    return edges
+
+
+def timed(function: Callable[[], object]) -> float:
+    """Wall time of a call, s."""
+    started = time.perf_counter()
+    function()
+    return time.perf_counter() - started
+
+
+def measure_cold_queries(problems: Sequence[AssemblyProblem], each: int, rng: np.random.Generator) -> list[float]:
+    """Seconds of removal queries with nothing known: no library, no grasp solved."""
+    seconds = []
+    for problem in problems:
+        planner = problem.planner
+        for state, part in random_edges(problem, each, rng):
+            ik = InverseKinematics(planner.robot)
+            step = planner.options.check_step
+            planner.reach = Reach(
+                problem.assembly, planner.workcell, planner.robot, ik, planner.world, planner.workcell.clearance, step
+            )
+            query = np.random.default_rng(int(rng.integers(1 << 62)))
+            seconds.append(timed(lambda p=part, s=state, r=query: planner.plan(p, s, rng=r)))  # type: ignore[misc]
+    return seconds
+
+
+def measure_hits(problem: AssemblyProblem, rng: np.random.Generator) -> list[float]:
+    """Seconds of removal queries that the library answers."""
+    seconds = []
+    for state, part in random_edges(problem, 20, rng):
+        if isinstance(problem.remove(state, part, Effort()), Removal):
+            seconds += [timed(lambda p=part, s=state: problem.remove(s, p, Effort())) for _ in range(50)]  # type: ignore[misc]
+    return seconds
+
+
+def measure_orders(
+    assemblies: Sequence[Assembly], workcell: Workcell, robot: RobotModel, options: PlanningOptions
+) -> tuple[list[float], list[float]]:
+    """Seconds and plan lengths, m, of a search on each assembly, library empty at the start."""
+    seconds, lengths = [], []
+    for assembly in assemblies:
+        problem = new_problem(assembly, workcell, robot, options.seed)
+        started = time.perf_counter()
+        result = search(problem, options)
+        seconds.append(time.perf_counter() - started)
+        found = plan_of(problem, result, options, seconds[-1])
+        if isinstance(found, Plan):
+            lengths.append(found.total_length)
+    return seconds, lengths
+
+
+def measure_checks(problem: AssemblyProblem, rng: np.random.Generator) -> float:
+    """Seconds of one check of a free random configuration, with a held bar."""
+    planner = problem.planner
+    work = planner.robot.workspace()
+    arm, world = planner.robot.arm, planner.world
+    held = planner.reach.hand(problem.candidates(problem.root)[0], 0, work).held
+    present = np.ones(len(problem.assembly.parts) + 1, dtype=np.uint8)
+    drawn = rng.uniform(arm.lower, arm.upper, (20_000, len(arm.lower)))
+    free = [q for q in drawn if check(arm, held, world, present, 0.001, q, work) == FREE]
+    empty = timed(lambda: [q for q in free])
+    return (timed(lambda: [check(arm, held, world, present, 0.001, q, work) for q in free]) - empty) / len(free)
+
+
+def report(count: int, seed: int) -> list[Row]:
+    """All measurements on the first `count` single-layer assemblies and up to seven double-layer ones."""
+    rng = np.random.default_rng(seed)
+    workcell = load_workcell("panda")
+    robot = load_robot(workcell)
+    single = [load_assembly(data_path(f"single/{k:02d}.json")) for k in range(1, 15)][:count]
+    double = [load_assembly(data_path(f"double/{k:02d}.json")) for k in range(1, 8)][:count]
+    compile_all = new_problem(single[0], workcell, robot)
+    search(compile_all, PlanningOptions(search="random"))
+
+    rows: list[Row] = []
+    for name, assemblies in (("single", single), ("double", double)):
+        problems = [new_problem(assembly, workcell, robot) for assembly in assemblies]
+        cold = measure_cold_queries(problems, 12, rng)
+        rows.append((f"removal query, cold, `{name}`", _spread(cold, 1e3, "ms"), "median <= 50 ms"))
+    hits = measure_hits(new_problem(single[0], workcell, robot), rng)
+    rows.append(("removal query, from the library", _spread(hits, 1e6, "us"), "<= 20 us"))
+    for name, assemblies in (("single", single), ("double", double)):
+        seconds, lengths = measure_orders(assemblies, workcell, robot, PlanningOptions(search="random", seed=seed))
+        target = "median <= 2 s" if name == "single" else ""
+        rows.append((f"random order, `{name}`, library empty", _spread(seconds, 1, "s"), target))
+        paper = "14 to 20 m (paper: 14.3 to 19.2)" if name == "single" else "(paper: 26.7 to 31.7)"
+        rows.append((f"length of random orders, `{name}`", _spread(lengths, 1, "m"), paper))
+    options = PlanningOptions(search="mcts", seed=seed, budget=Budget(episodes=20))
+    seconds, lengths = measure_orders(single, workcell, robot, options)
+    rows.append(("MCTS, 20 episodes, library memory, `single`", _spread(seconds, 1, "s"), "<= 60 s"))
+    rows.append(("length found by MCTS, `single`", _spread(lengths, 1, "m"), ""))
+    checked = measure_checks(compile_all, rng)
+    rows.append(("configuration check called from Python, held bar", f"{1e6 * checked:.1f} us", ""))
+    return rows
+
+
+def _spread(values: Sequence[float], factor: float, unit: str) -> str:
+    scaled = sorted(factor * value for value in values)
+    p95 = scaled[min(len(scaled) - 1, int(0.95 * len(scaled)))]
+    return f"median {statistics.median(scaled):.3g} {unit}, p95 {p95:.3g} {unit}, {scaled[0]:.3g} to {scaled[-1]:.3g} {unit}"
+
+
+def as_markdown(rows: Sequence[Row]) -> str:
+    """A table, with the machine and its load above."""
+    load = ", ".join(f"{x:.1f}" for x in os.getloadavg())
+    lines = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, load {load}.", ""]
+    lines += ["| what | measured | must reach |", "|---|---|---|"]
+    return "\n".join(lines + [f"| {what} | {figure} | {target} |" for what, figure, target in rows]) + "\n"
+
+
+def main() -> None:
+    """Prints the table; with --write it replaces the one in a document."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=14, help="assemblies of each data set")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", type=Path, help="document with the lines <!-- speed --> and <!-- /speed -->")
+    arguments = parser.parse_args()
+    table = as_markdown(report(arguments.count, arguments.seed))
+    print(table)
+    if arguments.write:
+        text = arguments.write.read_text()
+        before, _, rest = text.partition("<!-- speed -->\n")
+        _, _, after = rest.partition("<!-- /speed -->")
+        arguments.write.write_text(f"{before}<!-- speed -->\n{table}<!-- /speed -->{after}")
+
+
+if __name__ == "__main__":
+    main()
