@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow lint format types bench wheel clean
+.PHONY: help demo test slow lint format types bench verify-all mutations fuzz wheel clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /: /'
@@ -39,6 +39,15 @@ types: $(READY)  ## type check of sources and tests
 
 bench: $(READY)  ## the figures of docs/benchmarks.md
 	$(BIN)/python -m takeapart.experiments.speed --write docs/benchmarks.md
+
+verify-all: $(READY)  ## plan and verify every shipped assembly by every search; tables of docs/verification.md
+	$(BIN)/python -m takeapart.experiments.verify_all --document docs/verification.md
+
+mutations: $(READY)  ## corrupt plans and see them refused; table of docs/reliability.md
+	$(BIN)/python tests/mutation_table.py --document docs/reliability.md
+
+fuzz: $(READY)  ## 100,000 broken files for the readers; table of docs/reliability.md
+	$(BIN)/python tests/fuzz_readers.py --inputs 100000 --document docs/reliability.md
 
 wheel: $(READY)  ## dist/*.whl
 	$(BIN)/python -m build --no-isolation --outdir dist .

@@ -378,6 +378,8 @@ def lift_skipped(target: Target, rng: np.random.Generator) -> Corrupted | None:
     first = _lift_rows(target, step)
     rotation = rotation_from_quaternion(step.tool_path[0, 3:])
     side = rotation[:, int(rng.integers(2))] * [1.0, 1.0, 0.0]
+    if np.linalg.norm(side) < 0.5:
+        return None  # a tool that comes from the side may have this axis upright
     corner = step.tool_path[0, :3] + rng.uniform(0.005, 0.02) * side + [0.0, 0.0, 0.02]
     base = target.workcell.T_world_base
     corners = [step.tool_path[0, :3], corner, step.tool_path[first, :3]]

@@ -10,6 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import example_documents
+import fuzz_readers
 from takeapart.errors import InputError, TakeapartError
 from takeapart.files import load_assembly, load_plan, load_workcell
 
@@ -438,3 +440,52 @@ def test_fuzz_long(
     tmp_path: Path, reader: Callable[[Path], object], suffix: str, inputs: st.SearchStrategy[Any]
 ) -> None:
     fuzz(int(os.environ.get("TAKEAPART_FUZZ_INPUTS", "3000")), reader, tmp_path, suffix, inputs)
+
+
+def test_fuzz_without_library_finds_nothing() -> None:
+    """`make fuzz` in small."""
+    tallies = fuzz_readers.fuzz(900, seed=1, processes=1)
+    assert [fault for tally in tallies for fault in tally.faults] == []
+    assert sum(tally.refused for tally in tallies) > 800
+    assert sum(tally.taken for tally in tallies) > 5
+
+
+def _breaks(path: Path) -> object:
+    raise KeyError("x")
+
+
+def _writes(path: Path) -> object:
+    return (path.parent / "other").write_text("x")
+
+
+def _removes(path: Path) -> object:
+    path.unlink()
+    return None
+
+
+def _hangs(path: Path) -> object:
+    while True:
+        time.sleep(0.01)
+
+
+def _says_too_little(path: Path) -> object:
+    raise InputError("two\nlines", str(path))
+
+
+@pytest.mark.parametrize(
+    ("load", "fault"),
+    [
+        (_breaks, "KeyError"),
+        (_writes, "for writing"),
+        (_removes, "os.remove"),
+        (_hangs, "took longer"),
+        (_says_too_little, "not one line"),
+    ],
+)
+def test_fuzzer_sees_faults(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, load: Callable[[Path], object], fault: str
+) -> None:
+    monkeypatch.setattr(fuzz_readers, "LONGEST", 0.2)
+    reader = replace(fuzz_readers.READERS["assembly"], load=load)
+    found, taken = fuzz_readers.fault_of(reader, tmp_path / "input.json", b"{}")
+    assert fault in found and not taken

@@ -14,11 +14,14 @@ import pytest
 from scipy.optimize import lsq_linear
 from ssik.prebuilt import franka_panda_ik
 
-from plan_mutations import MUTATIONS, Corrupted, Target, corrupted_plans
+from mutation_table import ASSEMBLIES, judged, scene_target, shipped_target
+from plan_mutations import MUTATIONS, Corrupted
 from takeapart.assembly import Assembly, Connector, members
+from takeapart.experiments import verify_all
 from takeapart.files import load_assembly, load_plan, load_workcell
 from takeapart.geometry import Array, OrientedBox, box_separation, pose, quaternion_from_rotation
 from takeapart.plan import Plan, PlanStep
+from takeapart.planning import SEARCHES
 from takeapart.profiles import ProfileOptions, candidate_rng, generate_candidate
 from takeapart.stability import ConnectorStability
 from takeapart.verification import (
@@ -232,19 +235,23 @@ def test_separate_boxes_within_sight_are_all_seen_at_their_distance() -> None:
         geom for i, part in enumerate(assembly.parts) if i != number for geom in scene.geoms(f"part/{part.name}")
     ] + scene.geoms("environment/table")
     apart = 0
-    for q in crowded_configurations(25, 4):
+    for q in crowded_configurations(100, 4):
         scene.place(q)
         pairs, distances = scene.near()
         seen = {(a, b): float(d) for (a, b), d in zip(pairs.tolist(), distances.tolist(), strict=True)}
         for a in moving:
             for b in standing:
+                spheres = np.linalg.norm(model.geom_size[[a, b]], axis=1).sum()
+                if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) > 0.0801 + spheres:
+                    assert (a, b) not in seen
+                    continue
                 expected = distance_of_boxes(box_of(a), box_of(b))
                 if 1e-4 < expected < 0.0799:
                     apart += 1
                     assert seen[a, b] == pytest.approx(expected, abs=1e-5)
                 elif expected > 0.0801:
                     assert (a, b) not in seen
-    assert apart > 500
+    assert apart > 150
 
 
 def test_absent_parts_are_not_seen(scene: Scene) -> None:
@@ -313,7 +320,8 @@ def test_neighbours_keep_their_play_during_the_lift() -> None:
     aside = [f for f in findings_of(plan, options) if f.part == "beam"]
     assert straight == []
     assert {finding.check for finding in aside} == {"collision"}
-    assert all("comes within 0.300 mm" in finding.message for finding in aside)
+    # At the start the cheeks are 0.5 mm away, and 0.4 mm must stay; the rows are 0.2 mm to the side.
+    assert all(finding.depth == pytest.approx(1e-4, abs=2e-5) for finding in aside)
 
 
 def test_fingers_keep_the_clearance_from_connectors_that_the_part_carries() -> None:
@@ -321,7 +329,7 @@ def test_fingers_keep_the_clearance_from_connectors_that_the_part_carries() -> N
     assembly = scene_assembly()
     beam = assembly.parts[assembly.index["beam"]]
     grasp = scene_plan().steps[1].tool_path[0, :3] - beam.T_world_part[:3, 3]
-    half_finger = 0.0105  # m, along the beam: URDF, boxes of 21 mm
+    half_finger = 0.00875  # m, along the beam: half of the fingertip's box in the URDF
     for gap, found in ((0.0003, True), (0.0008, False)):
         wall = OrientedBox(pose(grasp + [0.0125, half_finger + gap + 0.002, 0.0]), np.array([0.001, 0.002, 0.005]))
         connectors = (*assembly.connectors, Connector("extra", "U", "beam", "stub", (wall,)))
@@ -532,10 +540,6 @@ def refused_for_the_right_reason(corrupted: Corrupted) -> bool:
     )
 
 
-def scene_target() -> Target:
-    return Target(scene_plan(), scene_assembly(), scene_workcell())
-
-
 @pytest.mark.parametrize("name", list(MUTATIONS))
 def test_corrupted_plan_is_refused(name: str) -> None:
     rng = np.random.default_rng(7)
@@ -546,15 +550,14 @@ def test_corrupted_plan_is_refused(name: str) -> None:
 
 @pytest.mark.slow
 def test_five_hundred_corrupted_plans_are_refused() -> None:
-    refused: Counter[str] = Counter()
-    accepted = []
-    for corrupted in corrupted_plans(scene_target(), 500, np.random.default_rng(2024)):
-        if refused_for_the_right_reason(corrupted):
-            refused[corrupted.name] += 1
-        else:
-            accepted.append((corrupted.name, corrupted.check, corrupted.step))
-    assert accepted == []
-    assert sum(refused.values()) == 500 and set(refused) == set(MUTATIONS)
+    """The untouched plans pass (`judged` checks that), every corrupted one is refused for the right reason."""
+    rng = np.random.default_rng(2024)
+    results = judged("scene", scene_target(), 100, rng)
+    for name in ASSEMBLIES[:2]:
+        results += judged(name, shipped_target(name), 200, rng)
+    wrong = [(r.target, r.corrupted.name, r.findings) for r in results if not r.right_reason]
+    assert wrong == []
+    assert len(results) == 500 and {r.corrupted.name for r in results} == set(MUTATIONS)
 
 
 @pytest.mark.slow
@@ -569,6 +572,21 @@ def test_plans_on_disk_pass(path: Path) -> None:
         pytest.skip(f"no assembly {plan.assembly!r} below data")
     report = verify_plan(plan, assembly, load_workcell(plan.workcell), physics=True)
     assert [format_finding(finding) for finding in report.findings] == []
+
+
+@pytest.mark.slow
+def test_plans_of_all_searches_pass_on_two_shipped_assemblies(tmp_path: Path) -> None:
+    """`make verify-all` in small; the second call does nothing again and finds the same."""
+    assert verify_all.main(["--quick", "--out", str(tmp_path)]) == 0
+    outcomes = [json.loads(path.read_text())["outcome"] for path in sorted(tmp_path.glob("*.json"))]
+    assert [outcome["assembly"] for outcome in outcomes] == ["double/01", "single/03"]
+    for outcome in outcomes:
+        assert {verdict["search"] for verdict in outcome["verdicts"]} == set(SEARCHES)
+        assert outcome["agreement"]["only_rule_stands"] == outcome["agreement"]["only_physics_stands"] == 0
+        assert outcome["agreement"]["both_fall"] > 10
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert verify_all.main(["--quick", "--out", str(tmp_path)]) == 0
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before
 
 
 def load_name(path: Path) -> str:

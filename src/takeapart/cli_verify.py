@@ -99,6 +99,8 @@ def print_verdict(outcome: VerificationReport) -> None:
                 f"smallest clearance   {1000 * near.distance:.2f} mm, {near.first} and {near.second}, "
                 f"step {near.step + 1} ({near.part})"
             )
+        if outcome.states:
+            click.echo(f"under gravity        all {outcome.states} states stand")
         return
     click.echo(f"not verified: {outcome.plan} has {len(outcome.findings)} findings")
     for finding in outcome.findings[:SHOWN_FINDINGS]:

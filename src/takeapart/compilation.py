@@ -48,6 +48,16 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
     return kernel
 
 
+def compiled_lean(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """As `compiled`, for kernels that allocate nothing: their code does not count references to arrays.
+
+    The counters of the many arrays that a kernel is handed cost more than the work on them (half of the time of a
+    configuration check). The caller holds the arrays as long as the kernel runs, so nothing is lost.
+    """
+    kernel: Callable[Parameters, Result] = numba.njit(cache=True, nogil=True, _nrt=False)(function)
+    return kernel
+
+
 def is_compiled(module: ModuleType) -> bool:
     """Whether the cache holds machine code of a kernel of the module; True for a module without kernels.
 

@@ -152,7 +152,8 @@ class Replay:
             if shortfall > 0:
                 kind = "cuts into" if distance < 0 else f"is only {1e3 * distance:.3f} mm from"
                 message = f"{link} {kind} held/{step.part}"
-                findings.append(Finding(k, step.part, 0.0, "collision", message, -distance))
+                depth = -distance if distance < 0 else shortfall
+                findings.append(Finding(k, step.part, 0.0, "collision", message, depth))
         return findings
 
     def _required_of_hand(self, link: str, of_part: bool) -> float:
@@ -170,6 +171,7 @@ class Replay:
         held, static = scene.geoms(scene.held_bodies[number]), scene.geoms(scene.static_bodies[number])
         twin = dict(zip(held, static, strict=True))
         deepest: dict[tuple[str, str], Finding] = {}
+        least: dict[tuple[str, str], float] = {}  # distance of the deepest
         clearance: Clearance | None = None
         for s, configuration in enumerate(samples.configurations):
             scene.place(configuration)
@@ -186,11 +188,13 @@ class Replay:
                 time, names = float(samples.times[s]), (scene.label(a), scene.label(b))
                 if start is None and distance < closest:
                     clearance = Clearance(distance, k, step.part, time, *names)
-                if distance < required and (names not in deepest or -distance > deepest[names].depth):
+                if distance < min(required, least.get(names, math.inf)):
+                    least[names] = distance
+                    depth = -distance if distance < 0 else required - distance
                     first_time = deepest[names].time if names in deepest else time
                     kind = "hits" if distance < 0 else f"comes within {1e3 * distance:.3f} mm of"
                     message = f"{names[0]} {kind} {names[1]}"
-                    deepest[names] = Finding(k, step.part, first_time, "collision", message, -distance)
+                    deepest[names] = Finding(k, step.part, first_time, "collision", message, depth)
         return list(deepest.values()), clearance
 
     def _pairs(self) -> dict[tuple[int, int], float]:

@@ -95,7 +95,8 @@ class Finding:
         time: row of the step's path, fractional between rows; None where no moment can be named.
         check: name of the check that failed.
         message: what is wrong, with names.
-        depth: by how much a bound is broken, in the bound's unit (m or rad); for collisions the depth of penetration.
+        depth: by how much a bound is broken, in the bound's unit (m or rad); for collisions the depth of penetration,
+            or by how much the demanded clearance is missed.
     """
 
     step: int | None

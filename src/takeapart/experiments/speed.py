@@ -1,4 +1,4 @@
-"""How fast the geometry is: removal queries, random orders, MCTS, configuration checks. ``python -m takeapart.experiments.speed``.
+"""How fast the geometry is: removal queries, random orders, MCTS, configuration checks (``make bench``).
 
 All figures are wall times of one thread. Kernels are compiled before anything is measured.
 """
@@ -10,7 +10,7 @@ import os
 import platform
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -55,13 +55,6 @@ def random_edges(problem: AssemblyProblem, count: int, rng: np.random.Generator)
     return edges
 
 
-def timed(function: Callable[[], object]) -> float:
-    """Wall time of a call, s."""
-    started = time.perf_counter()
-    function()
-    return time.perf_counter() - started
-
-
 def measure_cold_queries(problems: Sequence[AssemblyProblem], each: int, rng: np.random.Generator) -> list[float]:
     """Seconds of removal queries with nothing known: no library, no grasp solved."""
     seconds = []
@@ -74,7 +67,9 @@ def measure_cold_queries(problems: Sequence[AssemblyProblem], each: int, rng: np
                 problem.assembly, planner.workcell, planner.robot, ik, planner.world, planner.workcell.clearance, step
             )
             query = np.random.default_rng(int(rng.integers(1 << 62)))
-            seconds.append(timed(lambda p=part, s=state, r=query: planner.plan(p, s, rng=r)))  # type: ignore[misc]
+            started = time.perf_counter()
+            planner.plan(part, state, rng=query)
+            seconds.append(time.perf_counter() - started)
     return seconds
 
 
@@ -83,7 +78,10 @@ def measure_hits(problem: AssemblyProblem, rng: np.random.Generator) -> list[flo
     seconds = []
     for state, part in random_edges(problem, 20, rng):
         if isinstance(problem.remove(state, part, Effort()), Removal):
-            seconds += [timed(lambda p=part, s=state: problem.remove(s, p, Effort())) for _ in range(50)]  # type: ignore[misc]
+            for _ in range(50):
+                started = time.perf_counter()
+                problem.remove(state, part, Effort())
+                seconds.append(time.perf_counter() - started)
     return seconds
 
 
@@ -112,8 +110,13 @@ def measure_checks(problem: AssemblyProblem, rng: np.random.Generator) -> float:
     present = np.ones(len(problem.assembly.parts) + 1, dtype=np.uint8)
     drawn = rng.uniform(arm.lower, arm.upper, (20_000, len(arm.lower)))
     free = [q for q in drawn if check(arm, held, world, present, 0.001, q, work) == FREE]
-    empty = timed(lambda: [q for q in free])
-    return (timed(lambda: [check(arm, held, world, present, 0.001, q, work) for q in free]) - empty) / len(free)
+    seconds = []
+    for _ in range(5):
+        started = time.perf_counter()
+        for q in free:
+            check(arm, held, world, present, 0.001, q, work)
+        seconds.append((time.perf_counter() - started) / len(free))
+    return min(seconds)
 
 
 def report(count: int, seed: int) -> list[Row]:
@@ -151,7 +154,8 @@ def report(count: int, seed: int) -> list[Row]:
 def _spread(values: Sequence[float], factor: float, unit: str) -> str:
     scaled = sorted(factor * value for value in values)
     p95 = scaled[min(len(scaled) - 1, int(0.95 * len(scaled)))]
-    return f"median {statistics.median(scaled):.3g} {unit}, p95 {p95:.3g} {unit}, {scaled[0]:.3g} to {scaled[-1]:.3g} {unit}"
+    ends = f"{scaled[0]:.3g} to {scaled[-1]:.3g} {unit}"
+    return f"median {statistics.median(scaled):.3g} {unit}, p95 {p95:.3g} {unit}, {ends}"
 
 
 def as_markdown(rows: Sequence[Row]) -> str:

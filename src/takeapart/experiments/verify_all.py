@@ -31,6 +31,7 @@ from takeapart.files import data_path, load_assembly, load_plan, load_workcell, 
 from takeapart.plan import Plan
 from takeapart.planning import SEARCHES, PlanningOptions, SearchName, build_problem, plan_of, search
 from takeapart.problem import AssemblyProblem
+from takeapart.search.baselines import BeamOptions
 from takeapart.search.result import Budget
 from takeapart.verification import Verifier, format_finding, states_of
 from takeapart.verification_checks import unsupported
@@ -44,17 +45,21 @@ class Settings:
     """What is planned for every assembly.
 
     Args:
+        searches: that are used.
         random_seeds: number of random orders.
         exact_seconds: budget of the exact search.
-        seconds: budget of beam search, restarts and MCTS, each.
+        seconds: budget of restarts and MCTS, each.
+        beam_width: small, so that beam search comes to its end and needs no budget.
         episodes: of MCTS, and number of random restarts.
         agreement_orders: random orders on whose states the connector rule is compared with physics.
         workcell: name of a shipped one.
     """
 
+    searches: tuple[SearchName, ...] = SEARCHES
     random_seeds: int = 15
     exact_seconds: float = 30.0
-    seconds: float = 10.0
+    seconds: float = 15.0
+    beam_width: int = 2
     episodes: int = 10
     agreement_orders: int = 10
     workcell: str = "panda"
@@ -118,14 +123,16 @@ def searches_of(settings: Settings) -> list[PlanningOptions]:
     short = Budget(episodes=settings.episodes, seconds=settings.seconds)
     budgets: dict[SearchName, Budget] = {
         "greedy": Budget(),
-        "beam": Budget(seconds=settings.seconds),
+        "beam": Budget(),
         "restarts": short,
         "mcts": short,
         "exact": Budget(seconds=settings.exact_seconds),
     }
     assert {"random", *budgets} == set(SEARCHES)
     random = [PlanningOptions(search="random", seed=seed) for seed in range(settings.random_seeds)]
-    return random + [PlanningOptions(search=name, budget=budget) for name, budget in budgets.items()]
+    beam = BeamOptions(width=settings.beam_width)
+    every = random + [PlanningOptions(search=name, budget=budget, beam=beam) for name, budget in budgets.items()]
+    return [options for options in every if options.search in settings.searches]
 
 
 def verified(
@@ -330,8 +337,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--random-seeds", type=int, default=Settings.random_seeds, help="random orders per assembly")
     parser.add_argument("--document", type=Path, help="document whose tables are replaced")
+    parser.add_argument("--searches", nargs="+", choices=SEARCHES, default=SEARCHES, help="only these")
+    parser.add_argument("--exact-seconds", type=float, default=Settings.exact_seconds, help="budget of exact search")
     given = parser.parse_args(arguments)
-    settings = Settings(random_seeds=given.random_seeds)
+    settings = Settings(tuple(given.searches), given.random_seeds, given.exact_seconds)
     names = given.assemblies or shipped
     if given.quick:
         names = given.assemblies or [name for name in QUICK if name in shipped]

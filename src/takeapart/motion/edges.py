@@ -14,9 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from takeapart.compilation import compiled
+from takeapart.compilation import compiled, compiled_lean
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.kernels import FREE, check, collect, forward, jacobian, linear_jacobian, reach_of_joints
+
+MAXIMUM_ROWS = 4096
+COARSE_SPACING = 0.06  # m, of the rows in the first try of a tool-straight edge
+LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more would bend the line between them
+LARGEST_MARGIN = 0.03  # m, of the padding by which a piece of motion is accepted with one check
 
 
 class Scene(NamedTuple):
@@ -30,21 +35,26 @@ class Scene(NamedTuple):
     work: Workspace
     J: Floats  # (6, n) scratch
     reach: Floats  # (n,) scratch
+    bounds: Floats  # (MAXIMUM_ROWS,) m, scratch
+    q: Floats  # (n,) rad, scratch
 
 
-MAXIMUM_ROWS = 4096
-COARSE_SPACING = 0.06  # m, of the rows in the first try of a tool-straight edge
-LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more would bend the line between them
-LARGEST_MARGIN = 0.03  # m, of the padding by which a piece of motion is accepted with one check
+def new_scene(
+    arm: ArmArrays, held: HeldArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace
+) -> Scene:
+    """A planning situation with scratch memory of its own."""
+    n = len(arm.lower)
+    scratch = np.zeros((6, n)), np.zeros(n), np.zeros(MAXIMUM_ROWS), np.zeros(n)
+    return Scene(arm, held, world, present, padding, work, *scratch)
 
 
-@compiled
+@compiled_lean
 def is_free(scene: Scene, q: Floats) -> bool:
     """Whether a configuration touches nothing."""
     return check(scene.arm, scene.held, scene.world, scene.present, scene.padding, q, scene.work) == FREE
 
 
-@compiled
+@compiled_lean
 def motion_bound(scene: Scene, a: Floats, b: Floats) -> float:
     """How far any point of arm and load moves at most between two near configurations, m (see `reach_of_joints`)."""
     reach_of_joints(scene.arm, scene.held, a, scene.work, scene.reach)
@@ -54,7 +64,7 @@ def motion_bound(scene: Scene, a: Floats, b: Floats) -> float:
     return total
 
 
-@compiled
+@compiled_lean
 def piece_free(scene: Scene, a: Floats, b: Floats, bound: float, step: float, q: Floats) -> bool:
     """Whether the straight joint-space motion between two near configurations is free.
 
@@ -92,7 +102,7 @@ def piece_free(scene: Scene, a: Floats, b: Floats, bound: float, step: float, q:
     return True
 
 
-@compiled
+@compiled_lean
 def joint_edge_free(scene: Scene, a: Floats, b: Floats, step: float, q: Floats) -> bool:
     """Whether the straight joint-space edge is free, end b included (see `piece_free`)."""
     bound = motion_bound(scene, a, b)
@@ -114,7 +124,7 @@ def joint_edge_free(scene: Scene, a: Floats, b: Floats, step: float, q: Floats) 
     return piece_free(scene, a, b, bound, step, q)
 
 
-@compiled
+@compiled_lean
 def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> bool:
     """Moves q (n,) in place to the nearest configuration with the tool at a point, m; False if that fails or breaks
     limits.
@@ -151,7 +161,7 @@ def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> b
     return False
 
 
-@compiled
+@compiled_lean
 def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, step: float, rows: Floats) -> int:
     """Rows (R, n) of the tool-straight edge from a to b, without a, with b; 0 if there is none that is free.
 
@@ -171,7 +181,7 @@ def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, step: float, r
     return count if _rows_free(scene, a, rows, count, spacing, step) else 0
 
 
-@compiled
+@compiled_lean
 def _tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats, check_rows: bool) -> bool:
     """Writes `count` rows that follow the tool-straight edge; False if the projection fails or leaves its branch.
 
@@ -204,7 +214,7 @@ def _tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats, che
     return True
 
 
-@compiled
+@compiled_lean
 def _rows_free(scene: Scene, a: Floats, rows: Floats, count: int, spacing: float, step: float) -> bool:
     """Whether the motion from a through the first rows is free: bisection first, then every piece."""
     if not is_free(scene, rows[count - 1]):
@@ -219,11 +229,10 @@ def _rows_free(scene: Scene, a: Floats, rows: Floats, count: int, spacing: float
                 return False
         stride = half
     # Runs of rows around a middle one are accepted with one check, as in `piece_free`.
-    bounds = np.empty(count)
+    bounds, q = scene.bounds, scene.q
     for k in range(count):
         before = a if k == 0 else rows[k - 1]
         bounds[k] = 1.02 * motion_bound(scene, before, rows[k])
-    q = np.empty(len(a))
     first = 0
     while first < count:
         # Pieces first .. last - 1; the middle is the row where the run up to it is as long as allowed.
@@ -247,7 +256,7 @@ def _rows_free(scene: Scene, a: Floats, rows: Floats, count: int, spacing: float
     return True
 
 
-@compiled
+@compiled_lean
 def tool_positions(scene: Scene, rows: Floats, count: int, points: Floats) -> float:
     """Tool positions (count, 3), m, of the first rows; returns the length of the tool path, m (Eq. 2)."""
     length = 0.0
@@ -306,7 +315,7 @@ def path_blockers(scene: Scene, rows: Floats, step: float, hits: Flags) -> bool:
     return True
 
 
-@compiled
+@compiled_lean
 def _settle(scene: Scene, q: Floats, margin: float, hits: Flags, near: Flags, last: bool) -> bool:
     """Whether a piece of motion around q is decided: it touches nothing new; or, at the last size, what it touches
     is marked.
@@ -320,11 +329,12 @@ def _settle(scene: Scene, q: Floats, margin: float, hits: Flags, near: Flags, la
     for i in range(len(hits)):
         new = new or near[i] != hits[i]
     if new and last:
-        hits[:] = near
+        for i in range(len(hits)):
+            hits[i] = near[i]
     return last or not new
 
 
-@compiled
+@compiled_lean
 def solve_symmetric(A: Floats, x: Floats) -> bool:
     """Solves A y = x for a positive definite A (m, m), of which the lower triangle is read and overwritten; y
     replaces x.

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from takeapart.compilation import compiled
+from takeapart.compilation import compiled, compiled_lean
 from takeapart.motion.edges import MAXIMUM_ROWS, Scene, is_free, project_to_point, tool_edge
 from takeapart.motion.rrt import next_random
 from takeapart.robot.arrays import Flags, Floats, Indices, WorldArrays
 from takeapart.robot.kernels import ball_near_world, forward, mark_ball
 
 
-@compiled
+@compiled_lean
 def mark_line(world: WorldArrays, a: Floats, b: Floats, radius: float, hits: Flags) -> None:
     """Marks in `hits` (parts + 1,) every owner that a ball moving straight from a to b (3,), m, touches at its
     samples.
@@ -25,7 +25,7 @@ def mark_line(world: WorldArrays, a: Floats, b: Floats, radius: float, hits: Fla
         mark_ball(world, a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2]), radius, hits)
 
 
-@compiled
+@compiled_lean
 def line_free(world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float) -> bool:
     """Whether a ball can move straight from a to b (3,), m, as far as its samples tell."""
     length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)

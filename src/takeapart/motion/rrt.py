@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from takeapart.compilation import compiled
+from takeapart.compilation import compiled, compiled_lean
 from takeapart.motion.edges import Scene, joint_edge_free
 from takeapart.robot.arrays import Floats, Integers, RandomState
 
 
-@compiled
+@compiled_lean
 def next_random(state: RandomState) -> float:
     """Uniform number in [0, 1) from a generator state (1,) of uint64. SplitMix64, Steele et al., OOPSLA 2014."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -22,7 +22,7 @@ def next_random(state: RandomState) -> float:
     return float(z >> np.uint64(11)) / 9007199254740992.0
 
 
-@compiled
+@compiled_lean
 def _nearest(nodes: Floats, count: int, q: Floats) -> int:
     best, found = math.inf, 0
     for k in range(count):

@@ -12,7 +12,7 @@ import numpy as np
 
 from takeapart.assembly import Assembly
 from takeapart.geometry import Array, OrientedBox, quaternion_from_rotation
-from takeapart.motion.edges import LARGEST_MARGIN, Scene, path_blockers
+from takeapart.motion.edges import LARGEST_MARGIN, Scene, new_scene, path_blockers
 from takeapart.motion.legs import bends, one_leg, two_legs
 from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.smooth import dense, shorten
@@ -422,9 +422,9 @@ class RemovalPlanner:
         return world
 
     def _scene(self, hand: Hand, others: int, work: Workspace) -> Scene:
-        present, n = flags_of(others, self._parts), self.robot.joints
+        present = flags_of(others, self._parts)
         world = self._world_of(others)
-        return Scene(self.robot.arm, hand.held, world, present, self._padding, work, np.zeros((6, n)), np.zeros(n))
+        return new_scene(self.robot.arm, hand.held, world, present, self._padding, work)
 
     def _blame_path(self, part: int, others: int) -> int:
         """Parts that the straight line of every grasp meets; all others if there is no such part."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from takeapart.assembly import Assembly
 from takeapart.geometry import Array, pose_inverse
-from takeapart.motion.edges import Scene, lift_branches
+from takeapart.motion.edges import lift_branches, new_scene
 from takeapart.motion.legs import mark_line
 from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bound
 from takeapart.removal.masks import flags_of, state_of
@@ -146,8 +146,7 @@ class Reach:
         if not count:
             return ()
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
-        J, reach = np.zeros((6, joints)), np.zeros(joints)
-        carrying = Scene(self._robot.arm, hand.held, self._world, everything, self._padding, work, J, reach)
+        carrying = new_scene(self._robot.arm, hand.held, self._world, everything, self._padding, work)
         lifting = carrying._replace(held=hand.held._replace(meets_world=_fingers_only(hand.held)))
         for spacing in LIFT_SPACINGS:  # near a singularity the joints turn fast: only close rows keep the lift straight
             rows = np.empty((count, round(np.ceil(self._workcell.lift_height / spacing)) + 1, joints))

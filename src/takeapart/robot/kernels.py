@@ -9,13 +9,13 @@ import math
 
 import numpy as np
 
-from takeapart.compilation import compiled
+from takeapart.compilation import compiled, compiled_lean
 from takeapart.robot.arrays import FIELD_STEP, ArmArrays, Flags, Floats, HeldArrays, Integers, Workspace, WorldArrays
 
 FREE, HIT_WORLD, HIT_SELF = 0, 1, 2
 
 
-@compiled
+@compiled_lean
 def _place(work: Workspace, f: int, o: Floats, k: int) -> tuple[float, float, float]:
     """World coordinates of point k of an array (K, 3) given in link frame f."""
     R, p = work.R, work.p
@@ -25,7 +25,7 @@ def _place(work: Workspace, f: int, o: Floats, k: int) -> tuple[float, float, fl
     return x, y, z
 
 
-@compiled
+@compiled_lean
 def forward(arm: ArmArrays, q: Floats, work: Workspace) -> None:
     """Poses of all links and of the tool at a configuration (n,), rad; written to the workspace."""
     R, p = work.R, work.p
@@ -52,7 +52,7 @@ def forward(arm: ArmArrays, q: Floats, work: Workspace) -> None:
         work.p_tool[i] = a * arm.T_tool[0, 3] + b * arm.T_tool[1, 3] + d * arm.T_tool[2, 3] + p[n, i]
 
 
-@compiled
+@compiled_lean
 def jacobian(work: Workspace, J: Floats) -> None:
     """Geometric Jacobian (6, n) of the tool: linear above angular velocity. Needs `forward` first."""
     linear_jacobian(work, J)
@@ -60,7 +60,7 @@ def jacobian(work: Workspace, J: Floats) -> None:
         J[3, k], J[4, k], J[5, k] = work.R[k + 1, 0, 2], work.R[k + 1, 1, 2], work.R[k + 1, 2, 2]
 
 
-@compiled
+@compiled_lean
 def linear_jacobian(work: Workspace, J: Floats) -> None:
     """The upper half of `jacobian`: linear velocity of the tool, rows 0 to 2 of J (6, n)."""
     for k in range(J.shape[1]):
@@ -73,7 +73,7 @@ def linear_jacobian(work: Workspace, J: Floats) -> None:
         J[0, k], J[1, k], J[2, k] = zy * dz - zz * dy, zz * dx - zx * dz, zx * dy - zy * dx
 
 
-@compiled
+@compiled_lean
 def _ball_meets_box(x: float, y: float, z: float, r: float, c: Floats, A: Floats, h: Floats, w: int) -> bool:
     """Whether a ball touches box w of arrays of centres (W, 3), axes (W, 3, 3) and half sizes (W, 3)."""
     dx, dy, dz = x - c[w, 0], y - c[w, 1], z - c[w, 2]
@@ -83,7 +83,7 @@ def _ball_meets_box(x: float, y: float, z: float, r: float, c: Floats, A: Floats
     return ex * ex + ey * ey + ez * ez <= r * r
 
 
-@compiled
+@compiled_lean
 def boxes_meet(ca: Floats, A: Floats, ha: Floats, cb: Floats, B: Floats, hb: Floats, padding: float) -> bool:
     """Whether two oriented boxes, the first one grown by `padding` on every side, overlap.
 
@@ -141,7 +141,7 @@ def boxes_meet(ca: Floats, A: Floats, ha: Floats, cb: Floats, B: Floats, hb: Flo
     return not abs(t1 * r02 - t0 * r12) > a0 * q12 + a1 * q02 + b0 * q21 + b1 * q20 + e
 
 
-@compiled
+@compiled_lean
 def _cell(world: WorldArrays, x: float, y: float, z: float) -> int:
     """Number of the grid cell that holds a point; -1 outside of the grid, where nothing is near."""
     i = math.floor((x - world.origin[0]) / world.cell)
@@ -152,7 +152,7 @@ def _cell(world: WorldArrays, x: float, y: float, z: float) -> int:
     return int((i * world.shape[1] + j) * world.shape[2] + k)
 
 
-@compiled
+@compiled_lean
 def _row(world: WorldArrays, r: float) -> int:
     """Row of the grid for balls of radius r. Nobody may ask for larger ones than the last row serves."""
     row = 0
@@ -161,7 +161,7 @@ def _row(world: WorldArrays, r: float) -> int:
     return row
 
 
-@compiled
+@compiled_lean
 def place_held(held: HeldArrays, work: Workspace) -> None:
     """World poses of the held boxes. Needs `forward` first."""
     R, p = work.R_tool, work.p_tool
@@ -173,7 +173,7 @@ def place_held(held: HeldArrays, work: Workspace) -> None:
                 work.box_axes[h, a, i] = R[i, 0] * A[h, a, 0] + R[i, 1] * A[h, a, 1] + R[i, 2] * A[h, a, 2]
 
 
-@compiled
+@compiled_lean
 def _held_hits_world(
     held: HeldArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace, hits: Flags, collect: bool
 ) -> bool:
@@ -215,7 +215,7 @@ def _held_hits_world(
     return found
 
 
-@compiled
+@compiled_lean
 def ball_near_world(world: WorldArrays, present: Flags, x: float, y: float, z: float, r: float) -> bool:
     """Whether a ball touches any box that counts."""
     cell = _cell(world, x, y, z)
@@ -229,7 +229,7 @@ def ball_near_world(world: WorldArrays, present: Flags, x: float, y: float, z: f
     return False
 
 
-@compiled
+@compiled_lean
 def mark_ball(world: WorldArrays, x: float, y: float, z: float, r: float, hits: Flags) -> None:
     """Marks in `hits` every owner that a ball touches."""
     cell = _cell(world, x, y, z)
@@ -242,7 +242,7 @@ def mark_ball(world: WorldArrays, x: float, y: float, z: float, r: float, hits: 
             hits[world.owner[w]] = 1
 
 
-@compiled
+@compiled_lean
 def collect_hand(
     arm: ArmArrays,
     held: HeldArrays,
@@ -292,7 +292,7 @@ def collect_hand(
                         hits[owner] = 1
 
 
-@compiled
+@compiled_lean
 def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
     """Whether palm, wrist or fingers touch what they must not touch of the carried part.
 
@@ -323,7 +323,7 @@ def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Works
     return False
 
 
-@compiled
+@compiled_lean
 def tool_poses(arm: ArmArrays, rows: Floats, work: Workspace, positions: Floats, rotations: Floats) -> None:
     """Tool positions (M, 3), m, and rotations (M, 3, 3) of configurations (M, n)."""
     for k in range(len(rows)):
@@ -334,7 +334,7 @@ def tool_poses(arm: ArmArrays, rows: Floats, work: Workspace, positions: Floats,
                 rotations[k, i, j] = work.R_tool[i, j]
 
 
-@compiled
+@compiled_lean
 def place_bodies(arm: ArmArrays, work: Workspace) -> None:
     """World centres of the balls around the bodies. Needs `forward` first."""
     for b in range(len(arm.body_frame)):
@@ -342,7 +342,7 @@ def place_bodies(arm: ArmArrays, work: Workspace) -> None:
         work.body[b, 0], work.body[b, 1], work.body[b, 2] = x, y, z
 
 
-@compiled
+@compiled_lean
 def _arm_hits_world(
     arm: ArmArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace, hits: Flags, collect: bool
 ) -> bool:
@@ -373,7 +373,7 @@ def _arm_hits_world(
     return found
 
 
-@compiled
+@compiled_lean
 def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspace) -> bool:
     for s in range(arm.body_start[a], arm.body_start[a + 1]):
         x, y, z = _place(work, arm.body_frame[a], arm.sphere_center, s)
@@ -388,7 +388,7 @@ def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspac
     return False
 
 
-@compiled
+@compiled_lean
 def _hits_itself(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
     """Arm against itself and against what it holds. Needs `place_bodies` and `place_held`."""
     for k in range(len(arm.self_pairs)):
@@ -429,7 +429,7 @@ def _hits_itself(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspa
     return False
 
 
-@compiled
+@compiled_lean
 def check(
     arm: ArmArrays, held: HeldArrays, world: WorldArrays, present: Flags, padding: float, q: Floats, work: Workspace
 ) -> int:
@@ -450,7 +450,7 @@ def check(
     return HIT_SELF if _hits_itself(arm, held, padding, work) else FREE
 
 
-@compiled
+@compiled_lean
 def collect(
     arm: ArmArrays,
     held: HeldArrays,
@@ -470,7 +470,7 @@ def collect(
     return not _hits_itself(arm, held, padding, work)
 
 
-@compiled
+@compiled_lean
 def reach_of_joints(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace, reach: Floats) -> None:
     """For every joint the greatest distance (n,), m, of anything it moves from its axis, at a configuration.
 
@@ -495,7 +495,7 @@ def reach_of_joints(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace
             reach[j] = max(reach[j], _distance_to_axis(work, j, x, y, z) + size)
 
 
-@compiled
+@compiled_lean
 def _distance_to_axis(work: Workspace, j: int, x: float, y: float, z: float) -> float:
     zx, zy, zz = work.R[j + 1, 0, 2], work.R[j + 1, 1, 2], work.R[j + 1, 2, 2]
     dx, dy, dz = x - work.p[j + 1, 0], y - work.p[j + 1, 1], z - work.p[j + 1, 2]
