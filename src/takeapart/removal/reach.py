@@ -18,7 +18,7 @@ from takeapart.motion.legs import mark_line
 from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bound
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
-from takeapart.robot.ik import InverseKinematics
+from takeapart.robot.ik import Solver
 from takeapart.robot.kernels import collect_hand, hand_hits_load
 from takeapart.robot.model import RobotModel, moved_load
 from takeapart.workcell import Workcell
@@ -73,7 +73,7 @@ class Reach:
         assembly: Assembly,
         workcell: Workcell,
         robot: RobotModel,
-        ik: InverseKinematics,
+        ik: Solver,
         world: WorldArrays,
         padding: float,
         step: float,
@@ -84,6 +84,10 @@ class Reach:
         self._loads: dict[tuple[int, float], HeldArrays] = {}
         self._hands: dict[tuple[int, int], Hand] = {}
         self._branches: dict[tuple[int, int], tuple[LiftBranch, ...]] = {}
+
+    def replace_inverse_kinematics(self, ik: Solver) -> None:
+        """Solves all further grasps with other inverse kinematics, for experiments."""
+        self._ik = ik
 
     def bounds(self, part: int) -> tuple[tuple[float, GraspCandidate], ...]:
         """Grasps of a part with their straight-line bounds, m, shortest first."""

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import importlib
 from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 
 from takeapart.errors import MissingExtraError
 from takeapart.geometry import Array, pose_inverse
 from takeapart.robot.model import RobotModel
+
+
+class Solver(Protocol):
+    """What the planner asks of inverse kinematics."""
+
+    def solve(self, T_world_tool: Array) -> Array:
+        """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""
+        ...
 
 
 class InverseKinematics:

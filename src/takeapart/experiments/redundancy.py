@@ -1,0 +1,78 @@
+"""Whether sampling the arm's redundancy loses grasps. ``python -m takeapart.experiments.redundancy``.
+
+A grasp is lost if none of the sampled inverse kinematics solutions can hold and lift the part clear of what never
+leaves, although another solution can. For grasps without any way, as many more solutions are sought by Newton's method
+from random configurations, and lifted in the same manner.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+
+import numpy as np
+
+from takeapart.assembly import members
+from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.geometry import Array, pose_inverse
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.robot.model import RobotModel, load_robot
+
+
+class MoreSolutions:
+    """Stands in for the inverse kinematics: solutions that Newton's method finds from random configurations."""
+
+    def __init__(self, robot: RobotModel, count: int, rng: np.random.Generator) -> None:
+        self._solver = importlib.import_module(robot.description.ik_module)
+        self._T_base_world = pose_inverse(robot.T_world_base)
+        self._T_tool_flange = pose_inverse(robot.T_flange_tool)
+        self._robot, self._count, self._rng = robot, count, rng
+
+    def solve(self, T_world_tool: Array) -> Array:
+        """Distinct solutions (S, n), rad."""
+        T = self._T_base_world @ T_world_tool @ self._T_tool_flange
+        arm = self._robot.arm
+        found: list[Array] = []
+        for _ in range(self._count):
+            seed = self._rng.uniform(arm.lower, arm.upper)
+            for solution in self._solver.solve(T, q_seed=seed, max_solutions=1, allow_rescue=False):
+                if all(np.abs(solution.q - q).max() > 1e-3 for q in found):
+                    found.append(np.asarray(solution.q))
+        return np.array(found).reshape(-1, self._robot.joints)
+
+
+def main() -> None:
+    """Prints how many grasps have a way, how many have none, and how many of those the denser sample rescues."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--assemblies", type=int, default=3)
+    parser.add_argument("--grasps", type=int, default=200, help="grasps looked at in each assembly")
+    parser.add_argument("--solutions", type=int, default=200, help="random configurations for each grasp without a way")
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(0)
+    workcell = load_workcell("panda")
+    robot = load_robot(workcell)
+    ways = none = lost = solutions = 0
+    for k in range(1, arguments.assemblies + 1):
+        planner = RemovalPlanner(load_assembly(data_path(f"single/{k:02d}.json")), workcell, robot=robot)
+        dense = RemovalPlanner(planner.assembly, workcell, robot=robot)
+        dense.reach.replace_inverse_kinematics(MoreSolutions(robot, arguments.solutions, rng))
+        work = robot.workspace()
+        pairs = [(p, n) for p in members(planner.assembly.root) for n in range(len(planner.reach.bounds(p)))]
+        for index in rng.permutation(len(pairs))[: arguments.grasps]:
+            part, number = pairs[int(index)]
+            if planner.reach.hand(part, number, work).blockers is None:
+                continue
+            branches = planner.reach.branches(part, number, work)
+            solutions += len(branches)
+            if branches:
+                ways += 1
+            else:
+                none += 1
+                lost += bool(dense.reach.branches(part, number, work))
+    print(f"grasps that the hand can take: {ways + none}; with a way to hold and lift the part: {ways}")
+    print(f"ways for each of those on average: {solutions / max(ways, 1):.1f}")
+    print(f"grasps without a way: {none}; of these the denser sample finds one for: {lost}")
+
+
+if __name__ == "__main__":
+    main()
