@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,12 @@ def judged(name: str, target: Target, count: int, rng: np.random.Generator) -> l
     return results
 
 
+def judged_target(name: str, count: int, seed: int) -> list[Judged]:
+    """As `judged`, for the scene or a shipped assembly by its name."""
+    rng = np.random.default_rng([seed, *name.encode()])
+    return judged(name, scene_target() if name == "scene" else shipped_target(name), count, rng)
+
+
 def table(results: Sequence[Judged]) -> str:
     """One row per mutation, and the sum."""
     count = Counter(result.corrupted.name for result in results)
@@ -86,16 +93,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=500, help="of corrupted plans of shipped assemblies")
     parser.add_argument("--scene", type=int, default=250, help="of corrupted plans of the hand-made scene")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--document", type=Path, help="document whose table is replaced")
     given = parser.parse_args(arguments)
-    rng = np.random.default_rng(given.seed)
+    counts = {name: len(range(i, given.count, len(ASSEMBLIES))) for i, name in enumerate(ASSEMBLIES)}
+    counts["scene"] = given.scene
     results: list[Judged] = []
-    for i, name in enumerate((*ASSEMBLIES, "scene")):
-        shipped = name != "scene"
-        count = given.scene if not shipped else len(range(i, given.count, len(ASSEMBLIES)))
-        started = time.monotonic()
-        results += judged(name, shipped_target(name) if shipped else scene_target(), count, rng)
-        print(f"{name}: {count} corrupted plans in {time.monotonic() - started:.0f} s", flush=True)
+    with ProcessPoolExecutor(given.processes, get_context("spawn")) as pool:
+        waiting = {name: pool.submit(judged_target, name, count, given.seed) for name, count in counts.items()}
+        for name, future in waiting.items():
+            results += future.result()
+            print(f"{name}: {counts[name]} corrupted plans judged", flush=True)
     wrong = [result for result in results if not result.right_reason]
     for result in wrong:
         what = f"{result.corrupted.name} (step {result.corrupted.step}): expected {result.corrupted.check}"

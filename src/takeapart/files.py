@@ -141,13 +141,11 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
     if not text.endswith(".toml"):
         shipped = {file.stem: file for file in data_path("workcells").glob("*.toml")}
         if text not in shipped:
-            raise UnknownNameError(
-                "workcell", text if len(text) <= 100 else shortened(text), [*shipped, "a path that ends in .toml"]
-            )
+            raise UnknownNameError("workcell", _nameable(text), [*shipped, "a path that ends in .toml"])
         text = str(shipped[text])
     where = shown(text)
     model = validated(WorkcellModel, read_toml(text, MAXIMUM_WORKCELL_BYTES), where)
-    robot_description(model.robot.model, f"{where}: robot.model")
+    robot_description(_nameable(model.robot.model), f"{where}: robot.model")
     try:
         return Workcell(
             name=model.name,
@@ -167,6 +165,11 @@ def _inside(where: str, name: str, error: InputError) -> str:
     """Place inside a file for an error of the data class, which names the assembly or workcell instead of the file."""
     place = error.where.removeprefix(name).removeprefix(": ")
     return f"{where}: {place}" if place else where
+
+
+def _nameable(name: str) -> str:
+    """A name as a message can hold it; one that is shortened is no known name in any case."""
+    return name if len(name) <= 100 else shortened(name)
 
 
 def _triple(values: list[float]) -> tuple[float, float, float]:
