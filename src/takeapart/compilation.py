@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numba
 
@@ -54,7 +54,8 @@ def compiled_lean(function: Callable[Parameters, Result]) -> Callable[Parameters
     The counters of the many arrays that a kernel is handed cost more than the work on them (half of the time of a
     configuration check). The caller holds the arrays as long as the kernel runs, so nothing is lost.
     """
-    kernel: Callable[Parameters, Result] = numba.njit(cache=True, nogil=True, _nrt=False)(function)
+    options: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}  # numba's stubs do not know `_nrt`
+    kernel: Callable[Parameters, Result] = numba.njit(**options)(function)
     return kernel
 
 

@@ -43,7 +43,7 @@ def new_problem(assembly: Assembly, workcell: Workcell, robot: RobotModel, seed:
 
 def random_edges(problem: AssemblyProblem, count: int, rng: np.random.Generator) -> list[tuple[int, int]]:
     """Edges (state, part) on random orders that gravity and lifting allow, whatever the arm can do."""
-    edges = []
+    edges: list[tuple[int, int]] = []
     while len(edges) < count:
         state = problem.root
         visited = []
