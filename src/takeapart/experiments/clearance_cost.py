@@ -20,7 +20,7 @@ from takeapart.planning import PlanningOptions, plan
 from takeapart.verification import verify_plan
 
 ASSEMBLIES = ("single/01", "single/03", "single/08", "single/11", "double/01")
-CLEARANCES = (0.0, 0.001, 0.003, 0.005)  # m
+CLEARANCES = (0.0, 0.0005, 0.001, 0.0013, 0.003, 0.005)  # m
 MARKER = "clearance-cost"
 
 
@@ -56,7 +56,7 @@ def table(names: Sequence[str], outcomes: Sequence[Outcome]) -> str:
     for i, name in enumerate(names):
         of_name = outcomes[i * len(CLEARANCES) : (i + 1) * len(CLEARANCES)]
         rows.append([name, *(_cell(found, of_name[0]) for found in of_name)])
-    return markdown_table(["assembly", *(f"{1e3 * clearance:.0f} mm" for clearance in CLEARANCES)], rows)
+    return markdown_table(["assembly", *(f"{1e3 * clearance:g} mm" for clearance in CLEARANCES)], rows)
 
 
 def _cell(found: Outcome, without: Outcome) -> str:
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for (name, clearance, _), found in zip(cases, pool.map(outcome, *zip(*cases, strict=True)), strict=True):
             outcomes.append(found)
             seen = f"smallest seen {1e3 * found.clearance:.2f} mm, {'holds' if found.holds else 'REFUSED or no plan'}"
-            print(f"{name} with {1e3 * clearance:.0f} mm: {found.length:.3f} m, {seen}", flush=True)
+            print(f"{name} with {1e3 * clearance:g} mm: {found.length:.3f} m, {seen}", flush=True)
     print(table(given.assemblies, outcomes))
     if given.document is not None:
         replace_between_markers(given.document, MARKER, table(given.assemblies, outcomes))

@@ -40,6 +40,7 @@ class RemovalOptions:
     Args:
         check_step: pieces of motion are proved free, or checked until nothing moves more than this in them, m; see
             `docs/concepts.md`.
+        lift_check_step: the same for lifts, m; whatever a lift passes by nearer than half of it counts as hit.
         row_spacing: nothing moves more than about this between the rows of a path, m.
         tolerance: a grasp that cannot gain more than this over the best found is not planned, m.
         straight_attempts: pairs of lifted and goal configuration tried with a straight tool path, per grasp.
@@ -56,15 +57,16 @@ class RemovalOptions:
     """
 
     check_step: float = 0.001
+    lift_check_step: float = 0.002
     row_spacing: float = 0.01
     tolerance: float = 0.002
     straight_attempts: int = 32
     bend_samples: int = 200
     bend_attempts: int = 80
-    leg_grasps: int = 24
+    leg_grasps: int = 8
     tree_iterations: int = 600
     tree_stride: float = 0.4
-    tree_paths: int = 6
+    tree_paths: int = 4
     tree_failures: int = 24
     quick_moves: int = 24
     shortening_moves: int = 160
@@ -122,7 +124,7 @@ class RemovalPlanner:
         self._worlds: dict[int, WorldArrays] = {}
         self.world = self._world_of(assembly.root)
         ik = InverseKinematics(self.robot)
-        self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.check_step)
+        self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.lift_check_step)
         self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding)
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
@@ -198,18 +200,16 @@ class RemovalPlanner:
                 paths.append(path)
                 limit = path.length + lift
         # Then trees; where few grasps are left they are tried again, with other random numbers.
-        successes = failures = 0
-        usable = [
-            (number, branches)
-            for number in self._spread(part, open_, limit, work)
-            if (branches := self._valid(part, others, number, work))
-        ]
+        successes = failures = turn = 0
+        usable = self._spread(part, open_, limit, work)
         while usable and successes < options.tree_paths and failures < options.tree_failures:
-            number, branches = usable[(successes + failures) % len(usable)]
+            number = usable[turn % len(usable)]
+            branches = self._valid(part, others, number, work)
             hand = self.reach.hand(part, number, work)
-            if hand.bound >= limit - options.tolerance:
-                usable.remove((number, branches))
+            if not branches or hand.bound >= limit - options.tolerance:
+                usable.remove(number)
                 continue
+            turn += 1
             path = self._tree(others, hand, branches, limit - lift, rng, work)
             if path is None:
                 failures += 1
@@ -272,7 +272,7 @@ class RemovalPlanner:
                 found.append((hand.bound, number, points))
             elif len(points):
                 found.append((float(points[0, 3]) + self.workcell.lift_height, number, points))
-        return sorted(found, key=lambda entry: entry[:2])
+        return sorted(found, key=lambda entry: (entry[0], self.reach.from_above(part, entry[1]), entry[1]))
 
     def _legs(
         self,
@@ -308,10 +308,10 @@ class RemovalPlanner:
         first: list[int] = []
         later: list[int] = []
         seen: set[tuple[int, ...]] = set()
-        for number in pending:
+        for number in sorted(pending, key=lambda n: (self.reach.from_above(part, n), n)):
             hand = self.reach.hand(part, number, work)
             if hand.bound >= limit - self.options.tolerance:
-                break
+                continue
             approach = tuple(np.round(hand.candidate.T_part_tool[:3, 2]).astype(int).tolist())
             position = int(hand.candidate.T_part_tool[:3, 3].sum() // 0.06)
             (later if (*approach, position) in seen else first).append(number)

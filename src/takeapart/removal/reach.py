@@ -98,6 +98,11 @@ class Reach:
             self._bounds[part] = tuple(sorted(bounded, key=lambda pair: pair[0]))
         return self._bounds[part]
 
+    def from_above(self, part: int, number: int) -> float:
+        """Vertical part of a grasp's approach direction, -1 for one from above: those are the likeliest to be reached."""
+        T = self._assembly.parts[part].T_world_part @ self.bounds(part)[number][1].T_part_tool
+        return round(float(T[2, 2]), 6)
+
     def hand(self, part: int, number: int, work: Workspace) -> Hand:
         """Grasp `number` in the order of `bounds`, as far as the hand decides it."""
         key = (part, number)
