@@ -29,7 +29,7 @@ from takeapart.assembly import Assembly
 from takeapart.cli import main
 from takeapart.cli_plan import options_of
 from takeapart.errors import InputError
-from takeapart.files import load_assembly, load_plan, save_assembly
+from takeapart.files import load_assembly, load_plan, load_workcell, save_assembly
 from takeapart.plan import Grasp, Plan
 from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
@@ -593,11 +593,12 @@ def test_a_killed_command_lets_go_of_its_run(tmp_path: Path) -> None:
 
 
 def holder_of_command(folder: Path) -> int:
-    """As `holder`, with the options of the command."""
+    """As `holder`, with the workcell and the options of the command."""
+    cell = load_workcell(str(folder.parents[1] / "cell.toml"))
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
-        with open_run(folder, run_identity(_saved(three_bars()), scene_workcell(), options_of("exact", 0))):
+        with open_run(folder, run_identity(_saved(three_bars()), cell, options_of("exact", 0))):
             os.write(writing, b".")
             signal.pause()
     os.read(reading, 1)
@@ -614,7 +615,7 @@ def _saved(assembly: Assembly) -> Assembly:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: str(value))
+@pytest.mark.parametrize(("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: getattr(value, "name", str(value)))
 def test_fifty_kills(case: Case, kills: int, tmp_path: Path) -> None:
     outcome = disturb(case, tmp_path / "runs", kills, seed=17)
     assert len(outcome.kills) == kills

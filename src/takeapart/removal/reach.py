@@ -99,7 +99,9 @@ class Reach:
         return self._bounds[part]
 
     def from_above(self, part: int, number: int) -> float:
-        """Vertical part of a grasp's approach direction, -1 for one from above: those are the likeliest to be reached."""
+        """Vertical part of a grasp's approach direction, -1 for one from above: those are the likeliest to be
+        reached.
+        """
         T = self._assembly.parts[part].T_world_part @ self.bounds(part)[number][1].T_part_tool
         return round(float(T[2, 2]), 6)
 
