@@ -615,7 +615,9 @@ def _saved(assembly: Assembly) -> Assembly:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: getattr(value, "name", str(value)))
+@pytest.mark.parametrize(
+    ("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: getattr(value, "name", str(value))
+)
 def test_fifty_kills(case: Case, kills: int, tmp_path: Path) -> None:
     outcome = disturb(case, tmp_path / "runs", kills, seed=17)
     assert len(outcome.kills) == kills
