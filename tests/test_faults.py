@@ -615,8 +615,7 @@ def _saved(assembly: Assembly) -> Assembly:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="open: a run continued after several kills was once seen to end with another
-plan")
+@pytest.mark.xfail(strict=False, reason="open: a continued run was once seen to end otherwise")
 @pytest.mark.parametrize(
     ("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: getattr(value, "name", str(value))
 )
