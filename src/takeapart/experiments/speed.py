@@ -21,9 +21,7 @@ from takeapart.plan import Plan
 from takeapart.planning import PlanningOptions, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.planner import RemovalPlanner
-from takeapart.removal.reach import Reach
 from takeapart.removal.result import Effort, Removal
-from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import FREE, check
 from takeapart.robot.model import RobotModel, load_robot
 from takeapart.search.result import Budget
@@ -61,11 +59,7 @@ def measure_cold_queries(problems: Sequence[AssemblyProblem], each: int, rng: np
     for problem in problems:
         planner = problem.planner
         for state, part in random_edges(problem, each, rng):
-            ik = InverseKinematics(planner.robot)
-            step = planner.options.check_step
-            planner.reach = Reach(
-                problem.assembly, planner.workcell, planner.robot, ik, planner.world, planner.workcell.clearance, step
-            )
+            planner.forget_grasps()
             query = np.random.default_rng(int(rng.integers(1 << 62)))
             started = time.perf_counter()
             planner.plan(part, state, rng=query)

@@ -123,12 +123,17 @@ class RemovalPlanner:
         self._fields = owner_fields(self.world, self._parts + 1)
         self._worlds: dict[int, WorldArrays] = {}
         self.world = self._world_of(assembly.root)
-        ik = InverseKinematics(self.robot)
-        self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.lift_check_step)
+        self._ik = ik = InverseKinematics(self.robot)
+        self.forget_grasps()
         self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding)
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
         self._local = threading.local()
+
+    def forget_grasps(self) -> None:
+        """Starts anew with grasps and lifts, which are kept from the first time they are asked for."""
+        padding, step = self._padding, self.options.lift_check_step
+        self.reach = Reach(self.assembly, self.workcell, self.robot, self._ik, self.world, padding, step)
 
     def straight_line_bound(self, part: int) -> float:
         """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any
