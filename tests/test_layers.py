@@ -50,12 +50,15 @@ cli*
 
 # Where a library with a large footprint, or one that is an optional extra, may be imported.
 CONFINED = {
-    "mujoco": ("verification*",),
+    "mujoco": ("verification*", "render*"),
     "torch": ("guide",),
     "safetensors": ("guide",),
     "polars": ("guide",),
     "viser": ("viewer*",),
     "yourdfpy": ("viewer*",),
+    "imageio": ("render*",),
+    "matplotlib": ("render*", "report*", "experiments"),
+    "ray": ("experiments",),
     "ssik": ("robot.ik",),
     "pydantic": ("schemas",),
     "pydantic_core": ("schemas", "messages"),
@@ -147,7 +150,7 @@ def test_the_package_itself_imports_no_optional_library() -> None:
             "from takeapart.robot import ik",
             "verification_replay imports robot.ik, which it is there to check",
         ),
-        ("planning", "import mujoco.viewer", "planning imports mujoco; only verification* may"),
+        ("planning", "import mujoco.viewer", "planning imports mujoco; only verification*, render* may"),
         ("robot.kernels", "from ssik import x", "robot.kernels imports ssik; only robot.ik may"),
     ],
 )

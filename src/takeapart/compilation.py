@@ -1,17 +1,17 @@
 """Compiled kernels and where their machine code is kept.
 
 numba keeps the machine code of a function as long as the function's own file does not change. A kernel contains the
-code
-of the kernels that it calls, also of those in other files, so that is not enough: here the folder of the machine
-code is
-named after the content of all of the package's sources, and changing any of them compiles anew.
+code of the kernels that it calls, also of those in other files, so that is not enough: here the folder of the machine
+code is named after the content of all sources with kernels that can call each other, and changing any of them compiles
+anew.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
@@ -28,23 +28,34 @@ def cache_folder() -> Path:
     return Path(os.environ.get("TAKEAPART_CACHE") or str(Path(base) / "takeapart"))
 
 
-def _sources_digest() -> str:
-    """Digest of all sources that hold kernels or the types they work on."""
+def _sources_digest(folders: Sequence[str]) -> str:
+    """Digest of the sources in some folders of the package that hold kernels, or the types that kernels work on."""
     package = Path(__file__).parent
     digest = hashlib.sha256()
-    for folder in ("robot", "motion", "search"):
+    for folder in folders:
         for source in sorted((package / folder).glob("*.py")):
-            digest.update(source.name.encode() + source.read_bytes())
+            text = source.read_bytes()
+            if b"@compiled" in text or source.name == "arrays.py":
+                digest.update(source.name.encode() + text)
     return digest.hexdigest()[:16]
 
 
-# Before any kernel is defined: numba decides where a function's machine code goes when it is decorated.
-numba.config.CACHE_DIR = str(cache_folder() / f"kernels-{numba.__version__}-{_sources_digest()}")  # type: ignore[attr-defined]
+@cache
+def _kernel_folder(module: str) -> str:
+    """Folder for the machine code of a module: geometry calls no kernels of the searches, nor they any of it."""
+    group = ("search",) if module.startswith("takeapart.search") else ("robot", "motion")
+    return str(cache_folder() / f"{group[0]}-kernels-{numba.__version__}-{_sources_digest(group)}")
+
+
+def _options(function: Callable[..., Any], **more: Any) -> dict[str, Any]:
+    # numba decides where a function's machine code goes when it is decorated.
+    numba.config.CACHE_DIR = _kernel_folder(function.__module__)  # type: ignore[attr-defined]
+    return {"cache": True, "nogil": True, **more}
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """Compiles a kernel when it is first called, without the interpreter lock, and keeps the machine code on disk."""
-    kernel: Callable[Parameters, Result] = numba.njit(cache=True, nogil=True)(function)
+    kernel: Callable[Parameters, Result] = numba.njit(**_options(function))(function)
     return kernel
 
 
@@ -54,8 +65,8 @@ def compiled_lean(function: Callable[Parameters, Result]) -> Callable[Parameters
     The counters of the many arrays that a kernel is handed cost more than the work on them (half of the time of a
     configuration check). The caller holds the arrays as long as the kernel runs, so nothing is lost.
     """
-    options: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False}  # numba's stubs do not know `_nrt`
-    kernel: Callable[Parameters, Result] = numba.njit(**options)(function)
+    # numba's stubs do not know `_nrt`.
+    kernel: Callable[Parameters, Result] = numba.njit(**_options(function, _nrt=False))(function)
     return kernel
 
 
