@@ -45,14 +45,14 @@ class RemovalOptions:
         tree_stride: length of its edges, rad.
         tree_goals: goal configurations that trees grow from, the nearest ones.
         tree_paths: paths that trees find, per query.
-        tree_failures: times that trees may fail, per query.
+        tree_failures: times that trees may fail, per query; a third of it once there is a path.
         quick_moves, shortening_moves: moves of the path shortening for every bent path, and for the best ones.
         finalists: paths that are shortened with all moves.
         shortening_patience: moves without gain that end it.
     """
 
     check_step: float = 0.001
-    lift_check_step: float = 0.002
+    lift_check_step: float = 0.004
     waypoint_spacing: float = 0.05
     row_spacing: float = 0.016
     tolerance: float = 0.002
@@ -64,7 +64,7 @@ class RemovalOptions:
     tree_stride: float = 0.4
     tree_goals: int = 24
     tree_paths: int = 4
-    tree_failures: int = 24
+    tree_failures: int = 15
     quick_moves: int = 24
     shortening_moves: int = 160
     finalists: int = 2
@@ -237,7 +237,9 @@ class PathSearch:
         options = self.options
         successes = failures = turn = 0
         usable = self._spread(open_)
-        while usable and successes < options.tree_paths and failures < options.tree_failures:
+        while usable and successes < options.tree_paths:
+            if failures >= options.tree_failures / (1 if math.isinf(limit) else 3):
+                return
             number = usable[turn % len(usable)]
             branches = self.branches(number) if self.hands[number].bound < limit - options.tolerance else ()
             if not branches:

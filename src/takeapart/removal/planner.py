@@ -77,7 +77,7 @@ class RemovalPlanner:
         self._worlds: dict[int, WorldArrays] = {}
         self.world = self._world_of(assembly.root)
         self._ik = ik = InverseKinematics(self.robot)
-        self.forget_grasps()
+        self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.lift_check_step)
         self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding)
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
@@ -85,8 +85,7 @@ class RemovalPlanner:
 
     def forget_grasps(self) -> None:
         """Starts anew with grasps and lifts, which are kept from the first time they are asked for."""
-        padding, step = self._padding, self.options.lift_check_step
-        self.reach = Reach(self.assembly, self.workcell, self.robot, self._ik, self.world, padding, step)
+        self.reach.forget()
 
     def straight_line_bound(self, part: int) -> float:
         """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any

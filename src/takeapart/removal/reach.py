@@ -25,7 +25,7 @@ from takeapart.robot.ik import Solver
 from takeapart.robot.model import RobotModel, copied_load, moved_load
 from takeapart.workcell import Workcell
 
-LIFT_SPACINGS = (0.005, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
+LIFT_SPACINGS = (0.01, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +111,7 @@ class Reach:
     ) -> None:
         self._assembly, self._workcell, self._robot, self._ik, self._world = assembly, workcell, robot, ik, world
         self._padding, self._step, self._lift = padding, step, workcell.lift_height
+        self._loads: dict[tuple[int, float], HeldArrays] = {}
         self._candidates: dict[int, tuple[GraspCandidate, ...]] = {}
         self._hands: dict[int, tuple[Hand, ...]] = {}
         self._solutions: dict[tuple[int, int], Array] = {}  # (S, n) rad
@@ -183,6 +184,19 @@ class Reach:
                     self._solutions[part, k] = found
         return self._solutions[key]
 
+    def _load(self, part: int, width: float) -> HeldArrays:
+        """Fingers at an opening, and the part with its own frame for the tool's."""
+        key = (part, width)
+        if key not in self._loads:
+            gripped = len(self._assembly.parts[part].shape.boxes())
+            self._loads[key] = self._robot.held(width, np.eye(4), self._assembly.body(part), gripped)
+        return self._loads[key]
+
+    def forget(self) -> None:
+        """Starts anew with grasps and lifts; the shapes of parts and fingers stay."""
+        for known in (self._candidates, self._hands, self._solutions, self._lifts):
+            known.clear()
+
     def _solve_hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
         body, parts = self._assembly.parts[part], len(self._assembly.parts)
         candidates = self.candidates(part)
@@ -196,12 +210,9 @@ class Reach:
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
         hits = np.zeros((len(candidates), parts + 1), dtype=np.uint8)
         lines = np.zeros_like(hits)
-        gripped = len(body.shape.boxes())
         widths = np.array([candidate.width for candidate in candidates])
-        loads: dict[float, HeldArrays] = {}
-        for width in np.unique(widths):
-            load = self._robot.held(float(width), np.eye(4), self._assembly.body(part), gripped)
-            loads[float(width)] = load
+        loads = {width: self._load(part, width) for width in np.unique(widths).tolist()}
+        for width, load in loads.items():
             chosen = widths == width
             some_hits, some_lines = hits[chosen], lines[chosen]
             hand_masks(
