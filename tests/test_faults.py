@@ -31,7 +31,7 @@ from takeapart.cli_plan import options_of
 from takeapart.errors import InputError
 from takeapart.files import load_assembly, load_plan, load_workcell, save_assembly
 from takeapart.plan import Grasp, Plan
-from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity
+from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity, sources_digest
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
@@ -157,6 +157,28 @@ def test_another_assembly_or_workcell_is_refused(tmp_path: Path) -> None:
     moved = replace(scene_workcell(), goal=np.array([-0.05, -0.30, 0.40]))
     with pytest.raises(InputError, match=r"workcell\.hash was"):
         plan(two_bars(), moved, OPTIONS, run=tmp_path)
+
+
+def test_a_run_of_other_sources_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(CutOffError), counted(1):
+        plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
+    monkeypatch.setattr("takeapart.planning.sources_digest", lambda: "0" * 64)
+    with pytest.raises(InputError, match=r"sources was '\w{12}\.\.\.'?, now '?0{12}\.\.\.'?; take another folder"):
+        plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
+
+
+def test_every_source_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "takeapart"
+    (package / "removal").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "removal" / "planner.py").write_text("a = 1\n")
+    monkeypatch.setattr("takeapart.planning.takeapart.__file__", str(package / "__init__.py"))
+    digests = [sources_digest.__wrapped__()]
+    (package / "removal" / "planner.py").write_text("a = 2\n")
+    digests.append(sources_digest.__wrapped__())
+    (package / "removal" / "planner.py").rename(package / "planner.py")
+    digests.append(sources_digest.__wrapped__())
+    assert len(set(digests)) == 3 and sources_digest.__wrapped__() == digests[-1]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -615,7 +637,6 @@ def _saved(assembly: Assembly) -> Assembly:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="open: a continued run was once seen to end otherwise")
 @pytest.mark.parametrize(
     ("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: getattr(value, "name", str(value))
 )

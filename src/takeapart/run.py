@@ -1,6 +1,6 @@
 """A run directory: what a plan is made for, and all that was planned for it so far.
 
-    run.json         assembly, workcell, options, seed and versions; written once
+    run.json         assembly, workcell, options, seed, versions and sources; written once
     journal.sqlite   every answer of the removal planner, see `run_journal`
     plan.json        the plan, once the search has ended
     lock             held by the process that works on the run; the system lets go of it however that process ends
@@ -35,7 +35,7 @@ RUN, JOURNAL, PLAN, LOCK = "run.json", "journal.sqlite", "plan.json", "lock"
 SHOWN_DIFFERENCES = 3
 
 Identity = dict[str, object]
-"""What a run is for, as JSON holds it: "assembly", "workcell", "options", "seed", "versions"."""
+"""What a run is for, as JSON holds it: "assembly", "workcell", "options", "seed", "versions", "sources"."""
 
 
 @dataclass(frozen=True, eq=False)
