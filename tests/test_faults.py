@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 import os
 import resource
@@ -305,6 +306,17 @@ def refused(path: Path) -> None:
     assert path.read_bytes() == before
 
 
+def test_text_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    """SQLite keeps any bytes in a column of text, and its check of the file does not mind them."""
+    path = tmp_path / "journal.sqlite"
+    filled(path)
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE answers SET state = CAST(x'e0ff' AS TEXT) WHERE rowid = 3")
+    connection.close()
+    refused(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["journal.sqlite"], "nothing is left beside it"
+
+
 def test_flipped_bits_never_change_an_answer(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     answers = filled(path, 12)
@@ -372,6 +384,17 @@ def test_a_damaged_description_is_told(text: str, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text(text)
     with pytest.raises(InputError, match=r"run\.json"), open_run(tmp_path, IDENTITY):
         pass
+
+
+def test_strange_keys_of_a_description_are_shown_in_one_line(tmp_path: Path) -> None:
+    with open_run(tmp_path, IDENTITY):
+        pass
+    document = json.loads((tmp_path / "run.json").read_text())
+    document["options"] |= {"\n\ud800": 1, "a" * 200: 2}
+    (tmp_path / "run.json").write_text(json.dumps(document))
+    with pytest.raises(InputError) as caught, open_run(tmp_path, IDENTITY):
+        pass
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 350 + len(str(tmp_path))
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
