@@ -46,8 +46,9 @@ verify-all: $(READY)  ## plan and verify every shipped assembly by every search;
 mutations: $(READY)  ## corrupt plans and see them refused; table of docs/reliability.md
 	$(BIN)/python tests/mutation_table.py --document docs/reliability.md
 
-fuzz: $(READY)  ## 100,000 broken files for the readers; table of docs/reliability.md
+fuzz: $(READY)  ## 100,000 broken files for the readers, and more where atheris is installed; table of docs/reliability.md
 	$(BIN)/python tests/fuzz_readers.py --inputs 100000 --document docs/reliability.md
+	$(BIN)/python tests/fuzz_atheris.py
 
 wheel: $(READY)  ## dist/*.whl
 	$(BIN)/python -m build --no-isolation --outdir dist .

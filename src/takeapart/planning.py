@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import importlib.metadata
 import math
 import time
@@ -189,7 +191,10 @@ def plan_in_run(
 def run_identity(
     assembly: Assembly, workcell: Workcell, options: PlanningOptions, guide: Guide | None = None
 ) -> Identity:
-    """All that shapes a plan, as the description of a run holds it. The number of threads shapes nothing."""
+    """All that shapes a plan, as the description of a run holds it. The number of threads shapes nothing.
+
+    The sources are part of it: while they are worked on, the version stays the same, but the answers do not.
+    """
     described = asdict(options)
     del described["seed"], described["exact"]["workers"]
     return {
@@ -199,6 +204,7 @@ def run_identity(
         "options": described,
         "guide": guide is not None,
         "versions": versions(),
+        "sources": sources_digest(),
     }
 
 
@@ -296,6 +302,17 @@ def explain(problem: AssemblyProblem, state: int, refusals: tuple[Blocked, ...] 
 def versions() -> dict[str, str]:
     """Versions of the package and of the libraries that shape a plan."""
     return {"takeapart": takeapart.__version__} | {name: importlib.metadata.version(name) for name in SHAPING_PACKAGES}
+
+
+@functools.cache
+def sources_digest() -> str:
+    """Digest of all sources of the package, as this process found them first."""
+    package = Path(takeapart.__file__).parent
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        content = source.read_bytes()
+        digest.update(f"{source.relative_to(package)} {len(content)}:".encode() + content)
+    return digest.hexdigest()
 
 
 def _step(assembly: Assembly, removal: Removal) -> PlanStep:
