@@ -63,7 +63,7 @@ def train(
     Writes the weights, and a log of the training (CSV) beside them. A training that was stopped or killed goes on when
     the same command is given again, and ends with the same weights.
     """
-    for package in ("torch", "safetensors", "polars"):
+    for package in ("torch", "polars"):
         if importlib.util.find_spec(package) is None:
             raise MissingExtraError("takeapart train", "guide", package)
     from takeapart.guide.architecture import Architecture
