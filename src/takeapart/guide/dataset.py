@@ -73,8 +73,11 @@ class StateTable:
 
     @property
     def best_known(self) -> Numbers:
-        """(F,) Q-value to judge a choice by, m: what exact search knows or else what was reached."""
-        return np.fmax(self.reached, self.known)
+        """(F,) Q-value to judge a choice by, m: what exact search knows or else what was reached.
+
+        Not the greater of both: removals that another search found for some actions only would decide the comparison.
+        """
+        return np.where(np.isnan(self.known), self.reached, self.known)
 
     def states_of_places(self) -> Indices:
         """(F,) row of the state of every place."""
