@@ -112,7 +112,7 @@ def test_what_exact_search_tells_holds_the_optimal_values(tmp_path: Path, seed: 
     assert bounded > sum(len(values) for values in known.values()) > 10
 
 
-@pytest.mark.parametrize("teacher", ["backup", "dqn"])
+@pytest.mark.parametrize("teacher", ["backup", pytest.param("dqn", marks=pytest.mark.slow)])
 def test_both_ways_of_learning_find_the_known_optimum(tmp_path: Path, teacher: str) -> None:
     problem = random_problem(5, 3)
     experience = recorded(tmp_path / "seen", problem)
@@ -183,7 +183,7 @@ train(read_experience(Path(folder)), options, Path(out))
 """
 
 
-@pytest.mark.parametrize("teacher", ["backup", "dqn"])
+@pytest.mark.parametrize("teacher", ["backup", pytest.param("dqn", marks=pytest.mark.slow)])
 def test_a_training_that_is_killed_ends_with_the_same_weights(tmp_path: Path, teacher: str) -> None:
     experience = recorded(tmp_path / "seen", random_problem(5, 3))
     options = replace(SMALL, teacher=teacher, evaluate_every=10, steps=100, target_every=25)  # type: ignore[arg-type]
