@@ -30,12 +30,12 @@ motion
 removal
 problem
 search
-guide
 messages
 schemas
 documents
 serialization
 files
+guide
 run*
 planning
 verification*
