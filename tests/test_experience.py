@@ -41,7 +41,8 @@ def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
     first, second, third = members(assembly.root)
     write_order(tmp_path, [first, third, second])
     with ExperienceWriter(tmp_path, assembly, seed=4, search="exact") as writer:
-        writer.observe_closed(1 << second, second, -0.7, 0, [], 0.7)
+        writer.observe_settled(1 << second, second, -0.7, 0, [], 0.7, 0.7)
+        writer.observe_settled(1 << third, third, -0.9, 0, [], 0.8, 0.9)
     experience = read_experience(tmp_path)
     rows = {(row["state"], row["part"]): row for row in experience.table.iter_rows(named=True)}
     start = rows[f"{assembly.root:x}", first]
@@ -49,8 +50,10 @@ def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert start["next_actions"] == [second, third]
     assert (start["reward"], start["seed"], start["search"], start["bound"]) == (-0.5, 3, "mcts", None)
     assert (start["assembly"], start["assembly_hash"]) == (assembly.name, assembly_hash(assembly))
-    exact = experience.table.filter(pl.col("search") == "exact").row(0, named=True)
-    assert (exact["bound"], exact["next_state"], exact["next_actions"], exact["seed"]) == (0.7, "0", [], 4)
+    exact = experience.table.filter((pl.col("search") == "exact") & (pl.col("part") == second)).row(0, named=True)
+    assert (exact["bound"], exact["least"], exact["next_state"], exact["next_actions"]) == (0.7, 0.7, "0", [])
+    bounded = experience.table.filter((pl.col("search") == "exact") & (pl.col("part") == third)).row(0, named=True)
+    assert (bounded["bound"], bounded["least"], bounded["seed"]) == (None, 0.8, 4)
     assert [part.name for part in experience.assemblies[assembly_hash(assembly)].parts] == [
         part.name for part in assembly.parts
     ]

@@ -33,7 +33,9 @@ from takeapart.messages import reason, shown
 from takeapart.serialization import assembly_hash
 
 ASSEMBLY_ENDING = ".assembly.json"
-ORDER = ("assembly_hash", "state", "part", "reward", "next_state", "seed", "search", "bound")
+ORDER = ("assembly_hash", "state", "part", "reward", "next_state", "seed", "search", "bound", "least")
+OWN_COLUMNS = ("state", "part", "reward", "next_state", "next_actions", "bound", "least")  # others hold for all rows
+TOLERANCE = 1e-6  # m; a cost to the goal that is known this well is known
 
 
 class ExperienceWriter:
@@ -67,7 +69,7 @@ class ExperienceWriter:
         self._stem = f"{assembly.name}-{self._hash[:HASH_LETTERS]}"
         self._writer, self._files = secrets.token_hex(6), 0  # no two writers share a name
         self._flush_rows, self._flush_seconds = flush_rows, flush_seconds
-        self._waiting: list[tuple[str, int, float, str, list[int], float | None]] = []
+        self._waiting: list[tuple[str, int, float, str, list[int], float | None, float | None]] = []
         self._oldest = 0.0
         self._lock = threading.Lock()
         try:
@@ -93,17 +95,26 @@ class ExperienceWriter:
             reward: minus the length of the removal, m.
             next_candidates: parts that gravity and lifting let go in the next state.
         """
-        self._take(state, part, reward, next_state, next_candidates, None)
+        self._take(state, part, reward, next_state, next_candidates, None, None)
 
-    def observe_closed(
-        self, state: int, part: int, reward: float, next_state: int, next_candidates: Sequence[int], bound: float
+    def observe_settled(
+        self,
+        state: int,
+        part: int,
+        reward: float,
+        next_state: int,
+        next_candidates: Sequence[int],
+        least: float,
+        most: float,
     ) -> None:
-        """Take a removal of which exact search knows the least cost to the goal; `search.exact.ClosedEdgeObserver`.
+        """Take a removal of which exact search bounds the cost to the goal; `search.exact.SettledObserver`.
 
         Args:
-            bound: length of the shortest sequence that begins with this removal, m: minus the optimal Q-value.
+            least, most: between them is the length of the shortest sequence that begins with this removal, m: minus
+                the optimal Q-value.
         """
-        self._take(state, part, reward, next_state, next_candidates, bound)
+        known = most if most - least <= TOLERANCE else None
+        self._take(state, part, reward, next_state, next_candidates, known, min(least, most))
 
     def close(self) -> None:
         """Write what is left."""
@@ -111,9 +122,17 @@ class ExperienceWriter:
             self._flush()
 
     def _take(
-        self, state: int, part: int, reward: float, next_state: int, candidates: Sequence[int], bound: float | None
+        self,
+        state: int,
+        part: int,
+        reward: float,
+        next_state: int,
+        candidates: Sequence[int],
+        bound: float | None,
+        least: float | None,
     ) -> None:
-        row = (f"{state:x}", int(part), float(reward), f"{next_state:x}", [int(c) for c in candidates], bound)
+        actions = sorted(int(candidate) for candidate in candidates)
+        row = (f"{state:x}", int(part), float(reward), f"{next_state:x}", actions, bound, least)
         with self._lock:
             if not self._waiting:
                 self._oldest = time.monotonic()
@@ -126,7 +145,7 @@ class ExperienceWriter:
         if not self._waiting:
             return
         columns = zip(*self._waiting, strict=True)
-        changing = dict(zip(("state", "part", "reward", "next_state", "next_actions", "bound"), columns, strict=True))
+        changing = dict(zip(OWN_COLUMNS, columns, strict=True))
         count = len(self._waiting)
         data = {name: changing[name] if name in changing else [self._constant[name]] * count for name in SCHEMA}
         content = io.BytesIO()

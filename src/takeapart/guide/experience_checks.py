@@ -32,8 +32,9 @@ SCHEMA: dict[str, pl.DataType] = {
     "seed": pl.UInt64(),
     "search": pl.String(),
     "bound": pl.Float64(),
+    "least": pl.Float64(),
 }
-NULLABLE = ("bound",)
+NULLABLE = ("bound", "least")
 
 
 def read_rows(file: Path) -> pl.DataFrame:
@@ -89,7 +90,7 @@ def checked_table(table: pl.DataFrame, assemblies: Mapping[str, Assembly], where
 
 
 def _check_numbers(table: pl.DataFrame, where: str) -> None:
-    for name, sign in (("reward", -1.0), ("bound", 1.0)):
+    for name, sign in (("reward", -1.0), ("bound", 1.0), ("least", 1.0)):
         for value in table[name].drop_nulls().unique().to_list():
             limit = MAXIMUM_LENGTH * (1 if name == "reward" else 1000)
             if not math.isfinite(value) or not 0.0 <= sign * value <= limit:
