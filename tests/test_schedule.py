@@ -16,7 +16,7 @@ from schedule_tasks import AddTask, diamond, done, processes
 from takeapart.errors import InputError, TakeapartError
 from takeapart.experiments import jobs as jobs_module
 from takeapart.experiments.jobs import Job, job_keys, sources_digest
-from takeapart.experiments.schedule import Kept, ScheduleProgress, _Estimate, run_schedule
+from takeapart.experiments.schedule import Kept, ScheduleProgress, Store, _Estimate, run_schedule
 from takeapart.experiments.workers import LocalWorkers, RayWorkers, Workers, open_workers
 
 SUMS = {"a/1": 1, "b/2": 3, "b/4": 5, "c/8": 16}
@@ -127,6 +127,14 @@ def alive(number: int) -> bool:
         return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def test_two_runs_cannot_work_in_one_folder(tmp_path: Path) -> None:
+    store = Store(tmp_path / "work")
+    with pytest.raises(InputError, match="another process works in this folder"):
+        run(diamond(tmp_path / "log"), tmp_path / "work")
+    store.close()
+    assert sums(run(diamond(tmp_path / "log"), tmp_path / "work")) == SUMS
 
 
 def test_jobs_must_stand_after_what_they_need_and_only_once() -> None:

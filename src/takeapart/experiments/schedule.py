@@ -6,9 +6,11 @@ FOLDER/files/<name>/...   files of the job
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import math
+import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -67,7 +69,7 @@ class Store:
     """Results of jobs in a folder.
 
     Raises:
-        InputError: the folder cannot be made.
+        InputError: the folder cannot be made, or another process works in it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -75,8 +77,20 @@ class Store:
         try:
             (folder / "jobs").mkdir(parents=True, exist_ok=True)
             (folder / "files").mkdir(exist_ok=True)
+            self._lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
             raise InputError(f"the folder cannot be made: {reason(error)}", shown(folder)) from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self.close()
+            raise InputError(
+                "another process works in this folder; wait, or take another", shown(folder)
+            ) from None
+
+    def close(self) -> None:
+        """Lets other processes work in the folder."""
+        os.close(self._lock)
 
     def kept(self, name: str, key: str) -> Kept | None:
         """The result of a job, if it was done with this key and is still whole."""
@@ -127,11 +141,11 @@ def run_schedule(
         listen: is told about progress.
 
     Raises:
-        InputError: the folder cannot be written.
+        InputError: the folder cannot be written, or another process works in it.
         TakeapartError: a job failed; the results so far are kept.
         KeyboardInterrupt: likewise.
     """
-    finished = False
+    finished, store = False, None
     try:
         keys, store = job_keys(jobs), Store(folder)
         results = {job.name: found for job in jobs if (found := store.kept(job.name, keys[job.name])) is not None}
@@ -153,6 +167,8 @@ def run_schedule(
         finished = True
     finally:
         workers.stop(now=not finished)
+        if store is not None:
+            store.close()
     return results
 
 
