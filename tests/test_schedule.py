@@ -148,7 +148,7 @@ def test_jobs_must_stand_after_what_they_need_and_only_once() -> None:
 def test_keys_follow_code_but_not_comments(tmp_path: Path) -> None:
     source = tmp_path / "removal" / "planner.py"
     tasks, other = tmp_path / "experiments" / "paper_tasks.py", tmp_path / "cli_show.py"
-    for path in (source, tasks, other):
+    for path in (source, tasks, other, tmp_path / "experiments" / "beyond_tasks.py"):
         path.parent.mkdir(exist_ok=True)
         path.write_text('"""Old."""\n\n\ndef f():\n    """Old."""\n    return 1\n')
     before = sources_digest(tmp_path)

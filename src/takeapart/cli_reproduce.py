@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import click
 
 from takeapart.cli_compile import compile_first
-from takeapart.cli_output import FILE, json_option, make_folder, note, print_json, progress_bar, seed_option
+from takeapart.cli_output import (
+    FILE,
+    json_option,
+    make_folder,
+    note,
+    print_json,
+    progress_bar,
+    seed_option,
+    workcell_option,
+)
 
 if TYPE_CHECKING:
     from takeapart.experiments.schedule import ScheduleProgress
@@ -70,6 +79,58 @@ def paper(out: Path, quick: bool, workers: str, document: Path | None, seed: int
         return
     click.echo(done.report.read_text(encoding="utf-8"))
     click.echo(f"{len(files)} files written to {out} in {done.seconds:.0f} s")
+
+
+@reproduce.command(short_help="Searches with and without a guide where exact search cannot close.")
+@click.argument("assemblies", type=FILE, nargs=-1, required=True)
+@click.option("--guide", type=FILE, required=True, metavar="FILE", help="Weights, as takeapart train writes them.")
+@click.option("--queries", type=click.IntRange(1), default=1000, show_default=True, help="Removal queries per search.")
+@click.option(
+    "--out", type=FILE, default=Path("out/beyond"), show_default=True, help="Folder of all results; made if needed."
+)
+@workcell_option
+@workers_option
+@click.option(
+    "--document", type=FILE, metavar="FILE.md", help="Also fill the marked block of this document (docs/results.md)."
+)
+@seed_option
+@json_option
+def beyond(
+    assemblies: tuple[Path, ...],
+    guide: Path,
+    queries: int,
+    out: Path,
+    workcell: str,
+    workers: str,
+    document: Path | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Compare greedy, beam, best-first and MCTS with and without a guide on ASSEMBLIES at equal removal queries.
+
+    Writes beyond.csv, beyond.md and beyond.png. Every finished job is kept: the same command goes on where it was
+    interrupted.
+    """
+    from takeapart.experiments.beyond_exact import BeyondSettings, compare_beyond
+    from takeapart.experiments.workers import open_workers
+    from takeapart.files import load_workcell
+
+    settings = BeyondSettings(assemblies, guide, workcell, seed, queries)
+    make_folder(out)
+    crew = open_workers(workers)
+    try:
+        compile_first(load_workcell(workcell))
+        with progress_bar("beyond exact search") as update:
+            files = compare_beyond(settings, out, crew, schedule_listener(update), document)
+    except KeyboardInterrupt:
+        crew.stop(now=True)
+        note(f"interrupted; finished jobs are kept in {out}, and the same command goes on from there")
+        raise
+    if as_json:
+        print_json({"files": [str(file) for file in files]})
+        return
+    click.echo((out / "beyond.md").read_text(encoding="utf-8"))
+    click.echo(f"{len(files)} files written to {out}")
 
 
 def schedule_listener(update: Callable[[str, float | None], None]) -> Callable[[ScheduleProgress], None]:

@@ -42,7 +42,7 @@ SHAPING_NOTHING = (
     "verification",
     "viewer",
 )
-SHAPING_EXPERIMENTS = ("paper_tasks",)
+SHAPING_EXPERIMENTS = ("beyond_tasks", "paper_tasks")
 
 
 class Task(Protocol):

@@ -73,6 +73,6 @@ def quick_settings(seed: int = 0) -> PaperSettings:
         mcts=MctsOptions(memory="paper", search_budget=1, attempts=2),
         episodes=1,
         queries=100,
-        training={},
+        training={"steps": 40, "batch": 16, "evaluate_every": 20},
         reference_queries=30,
     )

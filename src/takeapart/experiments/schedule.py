@@ -84,9 +84,7 @@ class Store:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self.close()
-            raise InputError(
-                "another process works in this folder; wait, or take another", shown(folder)
-            ) from None
+            raise InputError("another process works in this folder; wait, or take another", shown(folder)) from None
 
     def close(self) -> None:
         """Lets other processes work in the folder."""
