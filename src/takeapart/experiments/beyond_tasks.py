@@ -14,7 +14,7 @@ import numpy as np
 from takeapart.assembly import Assembly
 from takeapart.errors import UnknownNameError
 from takeapart.experiments.jobs import Outcome
-from takeapart.planning import PlanningOptions, build_problem
+from takeapart.planning import PlanningOptions, build_problem, of_candidates
 from takeapart.problem import AssemblyProblem, Guide
 from takeapart.search.baselines import BeamOptions, OrderOptions, beam, greedy
 from takeapart.search.best_first import BestFirstOptions, best_first
@@ -113,7 +113,7 @@ class BeyondTask:
     def run(self, needed: Mapping[str, Path], out: Path) -> Outcome:
         """Trace of the improvements: removal queries, motion plans, length, m; and what was spent in all."""
         problem = build_problem(self.assembly, self.workcell, PlanningOptions(seed=self.seed))
-        guide = self._guide()
+        guide = self._guide(problem)
         trace: list[list[float]] = []
 
         def listen(progress: Progress) -> None:
@@ -130,7 +130,7 @@ class BeyondTask:
             "motion_plans": problem.counts.motion_plans,
         }
 
-    def _guide(self) -> Guide | None:
+    def _guide(self, problem: AssemblyProblem) -> Guide | None:
         if self.weights is None:
             return None
         from takeapart.guide.policy import load_guide
@@ -138,5 +138,4 @@ class BeyondTask:
         with tempfile.NamedTemporaryFile(suffix=".safetensors") as file:
             file.write(self.weights)
             file.flush()
-            guide: Guide = load_guide(Path(file.name), self.assembly)
-        return guide
+            return of_candidates(load_guide(file.name, self.assembly), problem)
