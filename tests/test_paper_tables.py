@@ -193,6 +193,10 @@ def findings(settings: PaperSettings) -> Findings:
     found = rows("single", GUIDED) + rows("double", GUIDED, FAILED)
     kept = Kept({"motion_plans": 5, "removal_queries": 2}, Path(), 3.0, 2.0)
     results = {f"{phase}/x": kept for phase in PHASES}
+    for number, regret in enumerate((0.1, 0.2), 1):
+        learned = {"rows": 1000, "hash": "x", "weights": "y", "steps": 300, "best_step": 200, "error": 0.4}
+        kept = Kept({**learned, "regret": regret, "random_regret": 0.5}, Path(), 3.0, 2.0)
+        results[f"guide/single-without-{number:02d}"] = kept
     compared = comparisons(found, 0)
     return Findings(settings, results, found, [replanning()], equal_costs(found), savings(found), compared)
 
@@ -223,6 +227,7 @@ def test_a_document_is_filled_between_its_markers(tmp_path: Path) -> None:
     text = document.read_text()
     assert "old" not in text and text.count("kept") == len(BLOCK_TITLES)
     assert "| 1 | 16.00 | 14.50 | (2, 7) | **14.40** | (1, 2) |" in text
+    assert "| D1 without one | 2 | 1,000 | 300 | 0.150 | 0.500 | 0.400 |" in text
     assert all(block in text for block in report_blocks(findings(quick_settings())).values())
 
 

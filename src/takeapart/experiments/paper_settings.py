@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from takeapart.errors import InputError
 from takeapart.search.mcts import MctsOptions
@@ -44,7 +45,7 @@ class PaperSettings:
     mcts: MctsOptions = field(default_factory=lambda: MctsOptions(memory="paper"))
     episodes: int = 20
     queries: float = math.inf
-    training: Mapping[str, object] = field(default_factory=dict)
+    training: Mapping[str, Any] = field(default_factory=lambda: {"teacher": "backup"})
     reference_queries: int = 1500
 
     def __post_init__(self) -> None:
@@ -73,6 +74,6 @@ def quick_settings(seed: int = 0) -> PaperSettings:
         mcts=MctsOptions(memory="paper", search_budget=1, attempts=2),
         episodes=1,
         queries=100,
-        training={"steps": 40, "batch": 16, "evaluate_every": 20},
+        training={"teacher": "backup", "steps": 40, "batch": 16, "evaluate_every": 20},
         reference_queries=30,
     )

@@ -23,6 +23,9 @@ from takeapart.experiments.paper_values import TABLES, PaperRun
 from takeapart.experiments.schedule import Kept
 from takeapart.experiments.tables import markdown_table
 
+TRAINED = {"D1 without one": "single-without-", "D2 without one": "double-without-", "all of D1": "single-all"}
+HASHES = ("hash", "weights")
+
 
 def metres(value: float) -> str:
     """With the two decimals of the paper."""
@@ -166,6 +169,19 @@ def reference_markdown(rows: Sequence[Row]) -> str:
             )
     header = ["set", "assemblies", "vanilla, m", "its motion plans", "exact, m", "its motion plans"]
     return markdown_table([*header, "exact is shorter by", "no order is shorter by more than"], lines)
+
+
+def training_markdown(results: Mapping[str, Kept]) -> str:
+    """How well the guides rank the parts of assemblies that they were not trained on."""
+    rows = []
+    for title, prefix in TRAINED.items():
+        own = [kept.outcome for name, kept in results.items() if name.startswith(f"guide/{prefix}")]
+        if own:
+            mean = {key: float(np.mean([outcome[key] for outcome in own])) for key in own[0] if key not in HASHES}
+            lengths = [f"{mean[key]:.3f}" for key in ("regret", "random_regret", "error")]
+            rows.append([title, len(own), f"{mean['rows']:,.0f}", f"{mean['steps']:,.0f}", *lengths])
+    header = ["trained on", "guides", "removals seen", "steps", "regret, m", "regret of a random choice, m"]
+    return markdown_table([*header, "mean error of Q, m"], rows)
 
 
 def time_markdown(results: Mapping[str, Kept]) -> str:

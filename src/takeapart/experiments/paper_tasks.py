@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -233,7 +234,7 @@ class TrainingTask:
         expected: removals planned in all the experience, roughly.
     """
 
-    options: Mapping[str, object]
+    options: Mapping[str, Any]
     expected: float
 
     @property
@@ -246,15 +247,24 @@ class TrainingTask:
         return {"options": dict(self.options)}
 
     def run(self, needed: Mapping[str, Path], out: Path) -> Outcome:
-        """Number of rows and hash of the experience."""
+        """Rows and hash of the experience; steps made; regret and error, m, on the states held out."""
         from takeapart.guide.experience import read_experience
         from takeapart.guide.training import TrainingOptions, train
 
         experience = read_experience(list(needed.values()))
-        train(experience, TrainingOptions(**self.options), out / GUIDE_FILE)
+        trained = train(experience, TrainingOptions(**self.options), out / GUIDE_FILE)
         for path in [path for path in out.rglob("*") if path.is_file() and path.suffix not in KEPT_OF_TRAINING]:
             path.unlink()
-        return {"rows": len(experience.table), "hash": experience.hash}
+        return {
+            "rows": len(experience.table),
+            "hash": experience.hash,
+            "weights": trained.hash,
+            "steps": trained.steps,
+            "best_step": trained.best_step,
+            "regret": trained.regret,
+            "random_regret": trained.random_regret,
+            "error": trained.error,
+        }
 
 
 @dataclass(frozen=True, eq=False)
