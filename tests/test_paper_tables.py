@@ -242,7 +242,7 @@ def test_the_shipped_document_has_all_markers(tmp_path: Path) -> None:
 def test_settings_are_told(tmp_path: Path) -> None:
     text = report_blocks(findings(quick_settings()))["results-settings"]
     told = json.loads(text.split("```json\n")[1].removesuffix("\n```"))
-    assert told["mcts"]["memory"] == "paper" and told["single"] == 2 and told["queries"] == 100
+    assert told["mcts"]["memory"] == "paper" and told["single"] == 2 and told["queries"] == 200
 
 
 def test_lists_at_equal_cost() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import click
 
 from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
+    EXIT_INTERRUPTED,
     FILE,
     json_option,
     make_folder,
@@ -44,13 +46,18 @@ def reproduce() -> None:
     "--out", type=FILE, default=Path("out/paper"), show_default=True, help="Folder of all results; made if needed."
 )
 @click.option("--quick", is_flag=True, help="Every table and plot within minutes, from a few short searches.")
+@click.option(
+    "--episodes", type=click.IntRange(1), help="Of every search, for shorter runs.  [default: 20; with --quick 1]"
+)
 @workers_option
 @click.option(
     "--document", type=FILE, metavar="FILE.md", help="Also fill the marked blocks of this document (docs/results.md)."
 )
 @seed_option
 @json_option
-def paper(out: Path, quick: bool, workers: str, document: Path | None, seed: int, as_json: bool) -> None:
+def paper(
+    out: Path, quick: bool, episodes: int | None, workers: str, document: Path | None, seed: int, as_json: bool
+) -> None:
     """Repeat the experiments of the paper (Sec. VII) on the shipped assemblies.
 
     Vanilla searches on both data sets, guides trained on their experience leaving one assembly out each, guided
@@ -63,6 +70,7 @@ def paper(out: Path, quick: bool, workers: str, document: Path | None, seed: int
     from takeapart.files import load_workcell
 
     settings = quick_settings(seed) if quick else full_settings(seed)
+    settings = replace(settings, episodes=episodes or settings.episodes)
     make_folder(out)
     crew = open_workers(workers)
     try:
@@ -72,7 +80,7 @@ def paper(out: Path, quick: bool, workers: str, document: Path | None, seed: int
     except KeyboardInterrupt:
         crew.stop(now=True)
         note(f"interrupted; finished jobs are kept in {out}, and the same command goes on from there")
-        raise
+        raise click.exceptions.Exit(EXIT_INTERRUPTED) from None
     files = [str(file) for file in done.files]
     if as_json:
         print_json({"files": files, "report": str(done.report), "seconds": round(done.seconds, 1)})
@@ -125,7 +133,7 @@ def beyond(
     except KeyboardInterrupt:
         crew.stop(now=True)
         note(f"interrupted; finished jobs are kept in {out}, and the same command goes on from there")
-        raise
+        raise click.exceptions.Exit(EXIT_INTERRUPTED) from None
     if as_json:
         print_json({"files": [str(file) for file in files]})
         return

@@ -73,7 +73,7 @@ def quick_settings(seed: int = 0) -> PaperSettings:
         repeats=2,
         mcts=MctsOptions(memory="paper", search_budget=1, attempts=2),
         episodes=1,
-        queries=100,
+        queries=200,
         training={"teacher": "backup", "steps": 40, "batch": 16, "evaluate_every": 20},
         reference_queries=30,
     )
