@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from synthetic import SyntheticProblem
-from takeapart.assembly import Assembly, Part, members
+from takeapart.assembly import Assembly, Part
 from takeapart.geometry import Box, pose
 from takeapart.guide.experience import ExperienceWriter
 
@@ -40,17 +40,6 @@ def record_everything(problem: SyntheticProblem, assembly: Assembly, folder: Pat
                 writer.observe(state, part, -cost, following, problem.candidates(following))
 
 
-def true_values(problem: SyntheticProblem) -> dict[int, dict[int, float]]:
-    """The optimal Q-value of every removal in every reachable state, m."""
-    return {
-        state: {
-            part: -(problem.true_cost(state, part) + problem.optimum(state & ~(1 << part))[0])
-            for part in removable
-            if problem.optimum(state & ~(1 << part))[0] < np.inf
-        }
-        for state, removable in problem.reachable().items()
-    }
-
-
-def states_of(assembly: Assembly) -> list[int]:
-    return members(assembly.root)
+def true_value(problem: SyntheticProblem, state: int, part: int) -> float:
+    """The optimal Q-value of a removal, m; minus infinity where it leads nowhere."""
+    return -(problem.true_cost(state, part) + problem.optimum(state & ~(1 << part))[0])

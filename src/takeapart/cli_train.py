@@ -28,7 +28,7 @@ TEACHERS = ("backup", "exact", "dqn")  # takeapart.guide.training.TEACHERS, with
     show_default=True,
     help="backup: best continuation recorded. exact: what exact search proved. dqn: double Q-learning as in the paper.",
 )
-@click.option("--steps", type=click.IntRange(1), help="Gradient steps at most.  [default: 2000]")
+@click.option("--steps", type=click.IntRange(1), help="Gradient steps at most.  [default: 1000]")
 @click.option("--layers", type=click.IntRange(1, 16), help="Layers of the graph network.  [default: 3]")
 @click.option("--width", type=click.IntRange(1, 1024), help="Numbers per node and edge.  [default: 32]")
 @click.option(
@@ -63,7 +63,7 @@ def train(
     Writes the weights, and a log of the training (CSV) beside them. A training that was stopped or killed goes on when
     the same command is given again, and ends with the same weights.
     """
-    for package in ("torch", "safetensors", "polars"):
+    for package in ("torch", "polars"):
         if importlib.util.find_spec(package) is None:
             raise MissingExtraError("takeapart train", "guide", package)
     from takeapart.guide.architecture import Architecture

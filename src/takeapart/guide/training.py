@@ -56,11 +56,11 @@ class TrainingOptions:
 
     teacher: TeacherName = "backup"
     architecture: Architecture = field(default_factory=Architecture)
-    steps: int = 2000
+    steps: int = 1000
     batch: int = 32
     learning_rate: float = 2e-3
     gradient_norm: float = 10.0
-    evaluate_every: int = 100
+    evaluate_every: int = 50
     patience: int = 8
     held_out: tuple[str, ...] = ()
     held_out_share: float = 0.15

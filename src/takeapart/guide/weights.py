@@ -1,4 +1,4 @@
-"""Weights of a guide as a safetensors file, read with limits and without torch.
+"""Weights of a guide as a safetensors file, read with limits, and neither read nor written with torch.
 
 The file is what https://github.com/huggingface/safetensors describes: the length of a header, the header (JSON), and
 the bytes of all arrays. Its metadata say what the arrays are for and what they were learned from;
@@ -109,15 +109,24 @@ def load_weights(path: Path) -> Weights:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Numbers], metadata: Mapping[str, str]) -> None:
-    """Write 32-bit floats as a safetensors file, atomically.
+    """Write 32-bit floats as a safetensors file, atomically; the same content gives the same bytes.
 
     Raises:
         InputError: it cannot be written.
     """
-    from safetensors.numpy import save
-
-    contiguous = {name: np.asarray(array, dtype=np.float32, order="C") for name, array in arrays.items()}
-    write_atomically(path, save(contiguous, metadata=dict(metadata)))
+    header: dict[str, Any] = {"__metadata__": dict(metadata)}
+    data = bytearray()
+    for name in sorted(arrays):
+        content = np.asarray(arrays[name], dtype="<f4").tobytes()
+        header[name] = {
+            "dtype": "F32",
+            "shape": list(arrays[name].shape),
+            "data_offsets": [len(data), len(data) + len(content)],
+        }
+        data += content
+    text = canonical_json(header).encode()
+    text += b" " * (-len(text) % 8)  # the arrays begin at a multiple of eight
+    write_atomically(path, len(text).to_bytes(8, "little") + text + bytes(data))
 
 
 def read_arrays(path: Path, maximum_bytes: int) -> tuple[dict[str, Numbers], dict[str, str]]:
