@@ -38,7 +38,7 @@ def test_values_of_all_parts_and_no_state_is_computed_twice(tmp_path: Path) -> N
     assert first[1] == pytest.approx(LearnedGuide(drawn_weights(), assembly)([0b101])[0])
 
 
-def test_searches_see_values_of_candidates_only() -> None:
+def test_searches_see_valuesof_candidates_only() -> None:
     problem = build_problem(three_bars(), scene_workcell())
     seen: list[Mapping[int, float]] = []
 
@@ -47,7 +47,7 @@ def test_searches_see_values_of_candidates_only() -> None:
 
     from takeapart import planning
 
-    restricted = planning._of_candidates(all_parts, problem)
+    restricted = planning.of_candidates(all_parts, problem)
     state = problem.root
     seen += restricted([state])
     assert sorted(seen[0]) == sorted(problem.candidates(state)) != members(state)

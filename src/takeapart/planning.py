@@ -255,7 +255,7 @@ def search(
     """Runs the search that the options name."""
     rng = np.random.default_rng([options.seed, 1])
     observe = record.observe if record is not None else None
-    guide = _of_candidates(guide, problem) if guide is not None else None
+    guide = of_candidates(guide, problem) if guide is not None else None
     if options.search == "exact":
         observe_settled = record.observe_settled if record is not None else None
         return exact(problem, options.exact, options.budget, listen, guide, observe, observe_settled)
@@ -270,7 +270,7 @@ def search(
     return random_order(problem, options.order, options.budget, rng, listen)
 
 
-def _of_candidates(guide: Guide, problem: Problem) -> Guide:
+def of_candidates(guide: Guide, problem: Problem) -> Guide:
     """The guide without its values for parts that cannot leave: searches look at the best value of a state."""
 
     def restricted(states: Sequence[int]) -> list[dict[int, float]]:
