@@ -20,6 +20,8 @@ from takeapart.cli_generate import generate
 from takeapart.cli_inspect import explain, show
 from takeapart.cli_output import EXIT_ERROR, EXIT_INTERRUPTED
 from takeapart.cli_plan import plan
+from takeapart.cli_render import render
+from takeapart.cli_report import report
 from takeapart.cli_verify import assemble, verify
 from takeapart.errors import TakeapartError
 
@@ -86,5 +88,5 @@ def main(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for _command in (demo, generate, plan, show, explain, assemble, verify):
+for _command in (demo, generate, plan, show, explain, assemble, verify, render, report):
     main.add_command(_command)
