@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from takeapart.assembly import Assembly, members
-from takeapart.geometry import Array, rotation_from_quaternion
 from takeapart.removal.grasps import grasp_candidates, straight_line_bound
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.lifting import lift_blockers
@@ -124,7 +123,7 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
                 step,
                 scene.steps[step - 1].length if step else 0.0,
                 min(bounds, default=math.nan),
-                _grasp(scene, step - 1) if step else "",
+                scene.grasp_text(step - 1) if step else "",
                 tuple(assembly.names(carried)),
                 tuple(assembly.names(lifted & ~(1 << i))) if lifted != assembly.root else (),
                 lifted != assembly.root,
@@ -162,19 +161,6 @@ def _alternatives(scene: PlanScene, part: int, removals: list[Removal]) -> tuple
         )
         for removal in kept[:SHOWN_ALTERNATIVES]
     )
-
-
-def _grasp(scene: PlanScene, step: int) -> str:
-    """Where the fingers come from, and how wide they are."""
-    grasp = scene.steps[step].grasp
-    return f"{_direction(rotation_from_quaternion(grasp.orientation)[:, 2])}, {1000 * grasp.width:.0f} mm wide"
-
-
-def _direction(approach: Array) -> str:
-    """In the words of the assembly's frame: front is x = 0, right is y = 0."""
-    names = (("from the front", "from the back"), ("from the right", "from the left"), ("from below", "from above"))
-    axis = int(abs(approach).argmax())
-    return names[axis][0 if approach[axis] > 0 else 1]
 
 
 def why_not_earlier(facts: PartFacts) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from takeapart.assembly import Assembly, Part, members
 from takeapart.errors import InputError
-from takeapart.geometry import Array, pose, pose_inverse
+from takeapart.geometry import Array, pose, pose_inverse, rotation_from_quaternion
 from takeapart.plan import Plan, PlanStep
 from takeapart.render_robot import RobotVisual, load_robot_visual
 from takeapart.serialization import assembly_hash
@@ -136,6 +136,15 @@ class PlanScene:
         T_tool_world = pose_inverse(self.robot.tool_pose(step.joint_path[0]))
         return np.asarray(T_tool_world @ self.assembly.parts[self.order[number]].T_world_part)
 
+    def along(self, step: int) -> Array:
+        """Way of the tool (M,) up to each row of a step, m; turning counts a little."""
+        return self._along[step]
+
+    def grasp_text(self, step: int) -> str:
+        """Where the gripper comes from, and how wide it is: "from above, 20 mm wide"."""
+        grasp = self.steps[step].grasp
+        return f"{_direction(rotation_from_quaternion(grasp.orientation)[:, 2])}, {1000 * grasp.width:.0f} mm wide"
+
     @property
     def T_tool_parts(self) -> list[Array]:
         """Per step the pose (4, 4) of its part in the tool."""
@@ -207,6 +216,13 @@ class PlanScene:
             ]
         )
         return corners.min(axis=0), corners.max(axis=0)
+
+
+def _direction(approach: Array) -> str:
+    """In the words of the assembly's frame: front is x = 0, right is y = 0."""
+    names = (("from the front", "from the back"), ("from the right", "from the left"), ("from below", "from above"))
+    axis = int(abs(approach).argmax())
+    return names[axis][0 if approach[axis] > 0 else 1]
 
 
 def _longest_first(size: Array) -> Array:
