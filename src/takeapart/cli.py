@@ -23,6 +23,7 @@ from takeapart.cli_plan import plan
 from takeapart.cli_render import render
 from takeapart.cli_report import report
 from takeapart.cli_verify import assemble, verify
+from takeapart.cli_view import view
 from takeapart.errors import TakeapartError
 
 
@@ -88,5 +89,5 @@ def main(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for _command in (demo, generate, plan, show, explain, assemble, verify, render, report):
+for _command in (demo, generate, plan, show, explain, assemble, verify, view, render, report):
     main.add_command(_command)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,11 +27,13 @@ from takeapart.cli_output import (
     seed_option,
     workcell_option,
 )
+from takeapart.cli_view import keep_showing, live_view
 
 if TYPE_CHECKING:
     from takeapart.assembly import Assembly
     from takeapart.plan import Plan
     from takeapart.planning import Infeasible, PlanningOptions
+    from takeapart.search.result import Progress, ProgressListener
     from takeapart.workcell import Workcell
 
 SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapart.planning.SEARCHES, without its imports
@@ -94,6 +97,13 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     help="Keep all that is planned in this directory at once. Given again, the same command continues a run that was "
     "killed or stopped, and ends with the same plan.",
 )
+@click.option(
+    "--view",
+    "watch",
+    is_flag=True,
+    help="Watch the search in the browser: length and bound against time, and the best plan so far. Needs the extra "
+    "view.",
+)
 @json_option
 def plan(
     assembly: Path,
@@ -108,6 +118,7 @@ def plan(
     workers: int | None,
     out: Path | None,
     run: Path | None,
+    watch: bool,
     as_json: bool,
 ) -> None:
     """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
@@ -126,13 +137,16 @@ def plan(
     product, cell = load_assembly(assembly), load_workcell(workcell)
     require_output(out, assembly, Path(workcell))
     options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1)
-    made, interrupted = make_plan(product, cell, options, run)
-    saved = save_or_explain(made, interrupted, out, as_json)
-    if as_json:
-        print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
-        return
-    print_plan(saved)
-    click.echo(f"written to           {out}")
+    with live_view(product, cell) if watch else nullcontext() as live:
+        made, interrupted = make_plan(product, cell, options, run, live)
+        saved = save_or_explain(made, interrupted, out, as_json)
+        if as_json:
+            print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
+        else:
+            print_plan(saved)
+            click.echo(f"written to           {out}")
+        if live is not None:
+            keep_showing(live, out)
 
 
 def options_of(
@@ -163,12 +177,17 @@ def options_of(
 
 
 def make_plan(
-    assembly: Assembly, workcell: Workcell, options: PlanningOptions, run: Path | None = None
+    assembly: Assembly,
+    workcell: Workcell,
+    options: PlanningOptions,
+    run: Path | None = None,
+    watch: ProgressListener | None = None,
 ) -> tuple[Plan | Infeasible, bool]:
     """Plans with a progress bar, after the kernels are compiled.
 
     Args:
         run: directory of a run that is started or continued; by default nothing is kept before the end.
+        watch: also hears how the search goes.
 
     Returns:
         the plan or why there is none, and whether Ctrl-C ended the search.
@@ -187,7 +206,7 @@ def make_plan(
         with progress_bar(title) as update:
             problem = build_problem(assembly, workcell, options)
             started = time.monotonic()
-            result = search(problem, options, listen=search_listener(update, options.budget))
+            result = search(problem, options, listen=_both(search_listener(update, options.budget), watch))
             return plan_of(problem, result, options, time.monotonic() - started), result.interrupted
     identity = run_identity(assembly, workcell, options)
     known = finished_plan(run, identity)
@@ -199,7 +218,17 @@ def make_plan(
             note(f"continuing the run in {run}, which has {opened.journal.answers} answers of the planner")
         compile_first(workcell)
         with progress_bar(title) as update:
-            return plan_in_run(opened, assembly, workcell, options, listen=search_listener(update, options.budget))
+            listen = _both(search_listener(update, options.budget), watch)
+            return plan_in_run(opened, assembly, workcell, options, listen=listen)
+
+
+def _both(first: ProgressListener, second: ProgressListener | None) -> ProgressListener:
+    def listen(progress: Progress) -> None:
+        first(progress)
+        if second is not None:
+            second(progress)
+
+    return listen
 
 
 def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:

@@ -76,9 +76,9 @@ def assembled(data: str) -> str:
     """The player around its data. The player stands first, so that it can tell when the data were cut off."""
     data = data.replace("<", "\\u003c")  # nothing in the data may end its element
     html = (ASSETS / "player.html").read_text(encoding="utf-8")
-    for name in ("style", "script"):
-        suffix = "css" if name == "style" else "js"
-        html = html.replace(f"/*{name}*/", (ASSETS / f"player.{suffix}").read_text(encoding="utf-8"))
+    for name, files in (("style", ("player.css",)), ("script", ("motion.js", "drawing.js", "player.js"))):
+        text = "\n".join((ASSETS / file).read_text(encoding="utf-8") for file in files)
+        html = html.replace(f"/*{name}*/", text)
     return html.replace("0/*checksum*/", str(zlib.crc32(data.encode()))).replace("/*data*/", data)
 
 
