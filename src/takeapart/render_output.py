@@ -23,7 +23,7 @@ except ImportError as missing:
     raise MissingExtraError("render", "view", "imageio and pillow") from missing
 
 INK, PAPER = (38, 44, 52), (255, 255, 255)
-GIF_COLORS = 96
+GIF_COLORS = 128
 
 PathLike = str | os.PathLike[str]
 
@@ -32,7 +32,7 @@ def png_bytes(image: Image, colors: int | None = None) -> bytes:
     """A picture as PNG; with at most so many colours, if given, which makes it several times smaller."""
     picture = PillowImage.fromarray(image)
     if colors is not None:
-        picture = picture.quantize(colors, method=PillowImage.Quantize.MEDIANCUT, dither=PillowImage.Dither.NONE)
+        picture = picture.quantize(palette=_palette(image, colors), dither=PillowImage.Dither.NONE)
     buffer = io.BytesIO()
     picture.save(buffer, format="PNG", optimize=True)
     return buffer.getvalue()
@@ -103,10 +103,21 @@ def save_animation(frames: Iterable[Image], path: PathLike, frames_per_second: f
     write_atomically(path, data)
 
 
+def _palette(image: Image, colors: int) -> PillowImage.Image:
+    """The colours of a picture, with as many pixels of parts as of all that is nearly grey: those are far more, and
+    would leave no place for the colours of small parts."""
+    pixels = image.reshape(-1, 3)
+    vivid = np.ptp(pixels.astype(int), axis=1) > 45
+    grey = pixels[~vivid]
+    if vivid.any():
+        grey = grey[:: max(1, len(grey) // int(vivid.sum()))]
+    chosen = np.concatenate([pixels[vivid], grey])[None]
+    return PillowImage.fromarray(chosen).quantize(colors, method=PillowImage.Quantize.MEDIANCUT)
+
+
 def _gif(images: Sequence[Image], frames_per_second: float) -> bytes:
     """All frames with one palette and without dithering, so that what does not move costs nothing."""
-    some = np.concatenate([image[::2, ::2] for image in images[:: max(1, len(images) // 8)]])
-    palette = PillowImage.fromarray(some).quantize(GIF_COLORS, method=PillowImage.Quantize.MEDIANCUT)
+    palette = _palette(np.concatenate([image[::2, ::2] for image in images[:: max(1, len(images) // 8)]]), GIF_COLORS)
     flat = [PillowImage.fromarray(image).quantize(palette=palette, dither=PillowImage.Dither.NONE) for image in images]
     buffer = io.BytesIO()
     duration = round(1000 / frames_per_second)

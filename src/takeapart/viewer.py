@@ -32,6 +32,7 @@ except ImportError as missing:
 
 LOOPBACK = "127.0.0.1"
 FRAMES_PER_SECOND = 30.0
+PANEL_SHARE = 0.11  # of the camera's distance, by which everything is shifted to the left
 HINT = "Click a part to see when it leaves, and why not earlier."
 
 
@@ -94,7 +95,6 @@ class Viewer:
         self.server.scene.set_up_direction("+z")
         self.server.scene.configure_environment_map(hdri=None)  # it would come from the network
         self.server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
-        self.server.gui.main_panel.dock_right()
         self.lock = threading.RLock()
         self.scene: PlanScene | None = None
         self.facts: tuple[PartFacts, ...] = ()
@@ -218,8 +218,9 @@ class Viewer:
     def _light(self, scene: PlanScene) -> None:
         view = view_of(scene)
         api = self.server.scene
-        self.server.initial_camera.position = view.position
-        self.server.initial_camera.look_at = view.target
+        aside = PANEL_SHARE * view.distance * np.cross(view.direction, [0.0, 0.0, 1.0])  # the panel hides the right
+        self.server.initial_camera.position = view.position + aside
+        self.server.initial_camera.look_at = view.target + aside
         self.server.initial_camera.up = (0.0, 0.0, 1.0)
         self.server.initial_camera.fov = view.field
         api.configure_default_lights(enabled=False)
@@ -273,6 +274,7 @@ class Viewer:
         title = f"{scene.direction.capitalize()} of {scene.assembly.name}" if has_plan else scene.assembly.name
         gui.add_markdown(f"### {title}\n\n{totals_text(scene)}")
         total = math.ceil(100 * max(self.timeline.total, 0.01)) / 100
+        steps = gui.add_button_group("step", ("back", "forward"), visible=has_plan)
         controls = _Controls(
             time=gui.add_slider("time, s", 0.0, total, 0.01, 0.0, visible=has_plan),
             play=gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, visible=has_plan),
@@ -286,7 +288,6 @@ class Viewer:
             part=gui.add_markdown(HINT),
             ask=gui.add_button("Ask the planner", icon=viser.Icon.HELP, visible=False),
         )
-        steps = gui.add_button_group("step", ("back", "forward"), visible=has_plan, order=1.5)
         controls.play.on_click(lambda _: self._set_playing(not self.playing))
         steps.on_click(lambda event: self.jump(1 if event.target.value == "forward" else -1))
         controls.time.on_update(self._dragged)

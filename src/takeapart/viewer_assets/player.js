@@ -144,6 +144,7 @@ class Player {
       if (k >= 0) rows.push(["step", `${this.number(k)} of ${this.data.steps.length}`], ["gripper path", metres(this.data.steps[k].length)],
                             ["straight-line bound", metres(part.bound)], ["grasp", this.data.steps[k].grasp]);
       box.append(heading, table(rows), make("p", part.why, "why"));
+      if (this.direction === "assembly" && k >= 0) box.append(make("p", "Steps in this text are those of the disassembly.", "soft"));
       if (part.alternatives.length) {
         box.append(make("p", "Other removals in the library:", "soft"));
         box.append(table(part.alternatives.map(a => [metres(a.length), (a.blockers.length ? `without ${a.blockers.join(", ")}` : "in any state") +
