@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -232,6 +233,19 @@ def test_without_graphics_the_way_out_is_told() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert done.returncode == 2 and "no OpenGL" in done.stderr and "MUJOCO_GL" in done.stderr, done.stderr
     assert len(done.stderr.strip().splitlines()) == 1 and not Path("/tmp/never.png").exists()
+
+
+@pytest.mark.usefixtures("graphics")
+def test_pictures_are_drawn_after_a_verification_in_the_same_process() -> None:
+    code = (
+        "import takeapart.verification\n"
+        "from takeapart.files import *\nfrom takeapart.render import *\nfrom takeapart.render_scene import PlanScene\n"
+        "scene = PlanScene(load_assembly(data_path('single/01.json')), load_workcell('panda'))\n"
+        "with Renderer(scene, RenderOptions(64, 48)) as renderer:\n    print(renderer.picture().std() > 5)"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"} | {"PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.stdout.strip() == "True" and "Error" not in done.stderr, done.stderr
 
 
 def test_lifts_of_the_facts_are_those_of_the_planner(folder: Path) -> None:

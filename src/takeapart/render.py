@@ -5,6 +5,7 @@ Needs the extra "view", and OpenGL: without a display, EGL (of the graphics driv
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import os
 import sys
@@ -21,8 +22,6 @@ from takeapart.render_robot import RobotVisual
 from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, Color, Moment, PlanScene, View, darker, rgb, view_of
 
 try:
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")  # read when mujoco is imported
     import mujoco
 except ImportError as missing:
     raise MissingExtraError("render", "view", "mujoco") from missing
@@ -83,6 +82,7 @@ class Renderer:
         self._links = [int(mocap[body[f"link/{i}"]]) for i in range(len(scene.robot.links))] if options.robot else []
         self._plain = self._model.geom_rgba.copy()
         try:
+            _choose_graphics()
             self._renderer = mujoco.Renderer(self._model, options.height * SAMPLES, options.width * SAMPLES)
         except Exception as error:  # MuJoCo and the loaders of OpenGL raise whatever they like
             raise NoGraphicsError(str(error).strip().split("\n")[0] or type(error).__name__) from error
@@ -146,6 +146,14 @@ class Renderer:
             mujoco.mjv_connector(geom, kind, PATH_RADIUS, start, end)
             geom.emission = 0.5
             drawn.ngeom += 1
+
+
+def _choose_graphics() -> None:
+    """Without a screen, and where nobody said otherwise, EGL. MuJoCo chooses when it is imported, which may have been
+    for another purpose, so it is made to choose again."""
+    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY") and not os.environ.get("MUJOCO_GL"):
+        os.environ["MUJOCO_GL"] = "egl"
+        importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
 
 
 def _geoms(model: Any, body: int) -> list[int]:
