@@ -22,6 +22,7 @@ from takeapart.geometry import Array, pose
 from takeapart.workcell import RobotDescription
 
 CELL = 0.004  # m, details of meshes below this are merged
+BROWSER_CELL = 0.006  # m, the same in browsers
 PLAIN = (0.85, 0.86, 0.88)  # colour of geometry without one
 
 
@@ -252,6 +253,11 @@ def _color(mesh: trimesh.Trimesh) -> tuple[float, float, float]:
         return PLAIN
     red, green, blue = (float(value) / 255 for value in material.main_color[:3])
     return red, green, blue
+
+
+def coarser(mesh: Mesh, cell: float) -> Mesh:
+    """The same mesh with less detail, for browsers; cell in m."""
+    return simplified(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), mesh.color, cell)
 
 
 def simplified(mesh: trimesh.Trimesh, color: tuple[float, float, float], cell: float = CELL) -> Mesh:

@@ -83,11 +83,11 @@ def _run(folder: Path, assembly: Path | None, workcell: str | None) -> Subject:
 def _assembly(name: str, digest: str, given: Path | None, where: str) -> Assembly:
     if given is not None:
         return load_assembly(given)
-    for file in sorted(data_path(".").glob("*/*.json")):
-        if name.split("-")[-1] in file.stem or file.stem in name:  # reading all would take seconds
-            found = load_assembly(file)
-            if found.name == name and assembly_hash(found) == digest:
-                return found
+    likely = sorted(data_path(".").glob("*/*.json"), key=lambda file: (file.stem not in name, file))
+    for file in likely:  # reading all takes seconds
+        found = load_assembly(file)
+        if found.name == name and assembly_hash(found) == digest:
+            return found
     raise InputError(
         f"was made for assembly {name!r}; none of this hash is shipped, give it with --assembly FILE", where
     )

@@ -20,6 +20,7 @@ import numpy as np
 from takeapart.errors import InputError, MissingExtraError
 from takeapart.geometry import Array, quaternion_from_rotation
 from takeapart.render_facts import PartFacts, part_facts
+from takeapart.render_robot import BROWSER_CELL, coarser
 from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, Color, PlanScene, darker, rgb, view_of
 from takeapart.viewer_explain import Explainer
 from takeapart.viewer_texts import now_text, part_text, totals_text
@@ -72,7 +73,7 @@ class _Nodes:
     frames: list[Any] = field(default_factory=list)
     bodies: list[list[Any]] = field(default_factory=list)
     links: list[Any] = field(default_factory=list)
-    paths: list[Any] = field(default_factory=list)
+    paths: dict[int, Any] = field(default_factory=dict)  # made when they are first seen
 
 
 class Viewer:
@@ -195,8 +196,21 @@ class Viewer:
                 self._shown_step = place.step
                 self._paint()
                 controls.now.content = now_text(scene, self.timeline, place.step)
-                for k, path in enumerate(self._nodes.paths):
-                    path.visible = k == place.step or bool(controls.paths.value)
+                self._show_paths(place.step, bool(controls.paths.value))
+
+    def _show_paths(self, current: int, all_paths: bool) -> None:
+        """The tool path of the current step, or of all."""
+        assert self.scene is not None
+        for k, step in enumerate(self.scene.steps):
+            wanted = k == current or all_paths
+            if wanted and k not in self._nodes.paths:
+                points = np.asarray(step.tool_path)[:, :3]
+                segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+                self._nodes.paths[k] = self.server.scene.add_line_segments(
+                    f"/paths/{k}", segments, _bytes(rgb(PATH)), thickness=3.0, thickness_units="screen"
+                )
+            elif k in self._nodes.paths:
+                self._nodes.paths[k].visible = wanted
 
     def _place_robot(self, configuration: Array, opening: float) -> None:
         assert self.scene is not None
@@ -253,18 +267,10 @@ class Viewer:
             nodes.bodies.append(bodies)
         for number, link in enumerate(scene.robot.links):
             nodes.links.append(api.add_frame(f"/robot/{number}", show_axes=False))
-            for k, mesh_of in enumerate(link.meshes):
+            for k, mesh_of in enumerate(coarser(mesh, BROWSER_CELL) for mesh in link.meshes):
                 api.add_mesh_simple(
                     f"/robot/{number}/{k}", mesh_of.vertices, mesh_of.faces, color=_bytes(mesh_of.color), side="double"
                 )
-        for k, step in enumerate(scene.steps):
-            points = np.asarray(step.tool_path)[:, :3]
-            segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-            nodes.paths.append(
-                api.add_line_segments(
-                    f"/paths/{k}", segments, _bytes(rgb(PATH)), thickness=3.0, thickness_units="screen", visible=False
-                )
-            )
         api.add_icosphere("/goal", 0.012, _bytes(rgb(GOAL)), position=tuple(scene.workcell.goal))
         return nodes
 

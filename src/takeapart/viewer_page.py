@@ -25,7 +25,7 @@ from takeapart.geometry import Array
 from takeapart.messages import shown
 from takeapart.plan import Plan
 from takeapart.render_facts import PartFacts, part_facts, why_not_earlier
-from takeapart.render_robot import Mesh, RobotVisual, simplified
+from takeapart.render_robot import BROWSER_CELL, Mesh, RobotVisual, coarser
 from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene, view_of
 from takeapart.render_subject import load_subject
 from takeapart.run import JOURNAL
@@ -35,7 +35,7 @@ ASSETS = Path(__file__).resolve().parent / "viewer_assets"
 MAXIMUM_BYTES = 10 * 2**20
 FORMAT, VERSION = "takeapart/page", 1
 CREASE = math.radians(40)  # edges sharper than this stay sharp
-CELL, HULL_CELL = 0.006, 0.008  # m, details of meshes and of shadows below this are merged
+HULL_CELL = 0.008  # m, details of shadows below this are merged
 PATH_POINTS = 80  # of the line that shows a tool path
 
 
@@ -184,7 +184,7 @@ def robot_document(robot: RobotVisual) -> dict[str, Any]:
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
     """Positions as 16-bit fractions of the bounding box, normals as bytes."""
-    coarse = simplified(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), mesh.color, CELL)
+    coarse = coarser(mesh, BROWSER_CELL)
     shaded = trimesh.graph.smooth_shade(trimesh.Trimesh(coarse.vertices, coarse.faces, process=False), angle=CREASE)
     vertices, normals = np.asarray(shaded.vertices), np.asarray(shaded.vertex_normals)
     low = vertices.min(axis=0)
