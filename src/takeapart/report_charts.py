@@ -24,7 +24,8 @@ class Bar:
 
 def bars(rows: Sequence[Bar]) -> str:
     """Lengths as horizontal bars; a line across each marks the bound below which it cannot be."""
-    height, top, left, width = 26, 8, 160, 480
+    height, top, width = 26, 8, 480
+    left = min(240.0, 7.8 * max((len(row.label) for row in rows), default=0) + 16)  # room for the longest label
     largest = max((max(row.value, row.bound) for row in rows), default=1.0) * 1.02
     scale = (width - left - 52) / largest
     parts = []
