@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from takeapart.assembly import Assembly, members
-from takeapart.removal.grasps import grasp_candidates, straight_line_bound
+from takeapart.removal.grasps import grasp_candidates, straight_line_bounds
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.result import Blocked, Removal
@@ -110,10 +110,8 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
         earliest, freed_by = _earliest(scene, i, carried | lifted)
         own = [answer.answer for query, answer in answers if query.part == i]
         stages = [answer.stage for answer in own if isinstance(answer, Blocked)]
-        bounds = [
-            straight_line_bound(part, grasp, scene.workcell.lift_height, scene.workcell.goal)
-            for grasp in grasp_candidates(part, scene.workcell.description.maximum_opening)
-        ]
+        grasps = grasp_candidates(part, scene.workcell.description.maximum_opening)
+        bounds = straight_line_bounds(part, grasps, scene.workcell.lift_height, scene.workcell.goal)
         facts.append(
             PartFacts(
                 part.name,
@@ -122,7 +120,7 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
                 part.mass,
                 step,
                 scene.steps[step - 1].length if step else 0.0,
-                min(bounds, default=math.nan),
+                float(bounds.min()) if len(bounds) else math.nan,
                 scene.grasp_text(step - 1) if step else "",
                 tuple(assembly.names(carried)),
                 tuple(assembly.names(lifted & ~(1 << i))) if lifted != assembly.root else (),
