@@ -138,11 +138,12 @@ class AssemblyProblem:
             return self._query(state, part, effort.shorter_than, effort.attempts)
         known = self.edge_bounds.best(state, part)
         edge = (state, part)
-        if self.edge_bounds.is_closed(state, part) and effort.attempts <= self._effort.get(edge, 1):
+        made = self._effort.get(edge, 0)
+        if self.edge_bounds.is_closed(state, part) and effort.attempts <= max(made, 1):
             refusal = self.edge_bounds.refusal(state, part)
         else:
             limit = min(effort.shorter_than, known.length if known else math.inf)
-            found = self._query(state, part, limit, effort.attempts)
+            found = self._query(state, part, limit, max(effort.attempts - made, 1))
             refusal = None
             if isinstance(found, Removal):
                 self.edge_bounds.add_removal(found)
