@@ -14,7 +14,6 @@ goal one of them takes for a collision are left out for all.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import importlib.util
 import itertools
 import os
@@ -274,24 +273,16 @@ class Roboplan(CalledFromPython):
         core, rrt = self.core, self.rrt
         self.count += 1
         urdf = robot_file("urdf")
-        description = core.loadUrdfSceneDescription(str(urdf), [str(urdf.parents[4])])
+        # As links of the robot: boxes that are added later are checked against each other, and cost seconds.
+        links = _link("obstacles", "panda_link0", situation.boxes) + _link("load", "panda_link7", situation.held)
+        model = urdf.read_text().replace("</robot>", f"{links}</robot>")
+        description = core.loadUrdfSceneDescriptionFromXml(model, [str(urdf.parents[4])])
         self.scene = core.Scene(f"scene{self.count}", description)
         self.scene.importSrdf(robot_file("srdf").read_text())
         self.scene.addGroup("free_arm", JOINTS)
-        color = np.ones(4)
-        names = []
-        for i, (T, size) in enumerate(situation.boxes):
-            self.scene.addBoxGeometry(f"box{i}", "universe", core.Box(*size), np.asfortranarray(T), color)
-            names.append(f"box{i}")
-        for i, (T, size) in enumerate(situation.held):
-            self.scene.addBoxGeometry(f"held{i}", "panda_link7", core.Box(*size), np.asfortranarray(T), color)
-        off = [(a, b) for k, a in enumerate(names) for b in names[:k]] + [(name, "panda_link0") for name in names]
         near = ["panda_link7", "panda_hand", "panda_leftfinger", "panda_rightfinger"]
-        held = [f"held{i}" for i in range(len(situation.held))]
-        off += [(a, b) for a in held for b in near] + [(a, b) for k, a in enumerate(held) for b in held[:k]]
-        for pair in off:
-            with contextlib.suppress(RuntimeError):
-                self.scene.setCollisions(*pair, False)
+        for first, second in [("obstacles", "panda_link0"), *(("load", name) for name in near)]:
+            self.scene.setCollisions(first, second, False)
         self.context = core.SceneContext(self.scene)
         options = rrt.RRTOptions(
             group_name="free_arm",
@@ -376,6 +367,22 @@ def robot_file(kind: str) -> Path:
     """URDF or SRDF of the arm."""
     description = load_workcell("panda").description
     return description.path(getattr(description, kind))
+
+
+def _link(name: str, parent: str, boxes: Sequence[tuple[Array, Array]]) -> str:
+    """A link of boxes, fixed to another, in URDF."""
+    shapes = []
+    for T, size in boxes:
+        roll, pitch, yaw = (
+            np.arctan2(T[2, 1], T[2, 2]),
+            np.arcsin(-np.clip(T[2, 0], -1, 1)),
+            np.arctan2(T[1, 0], T[0, 0]),
+        )
+        origin = f'<origin xyz="{T[0, 3]} {T[1, 3]} {T[2, 3]}" rpy="{roll} {pitch} {yaw}"/>'
+        box = f'<geometry><box size="{size[0]} {size[1]} {size[2]}"/></geometry>'
+        shapes.append(f"<collision>{origin}{box}</collision>")
+    joint = f'<joint name="{name}_joint" type="fixed"><parent link="{parent}"/><child link="{name}"/></joint>'
+    return f'<link name="{name}">{"".join(shapes)}</link>{joint}'
 
 
 def _inside(T: Array, size: Array) -> tuple[Array, float]:

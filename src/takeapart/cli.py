@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 import takeapart
+from takeapart.cli_compare import compare
 from takeapart.cli_demo import demo
 from takeapart.cli_generate import generate
 from takeapart.cli_inspect import explain, show
@@ -86,5 +87,5 @@ def main(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for _command in (demo, generate, plan, show, explain, assemble, verify):
+for _command in (demo, generate, plan, show, explain, assemble, verify, compare):
     main.add_command(_command)

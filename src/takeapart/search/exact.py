@@ -153,7 +153,7 @@ class _LazySearch:
             elif log.best[0] <= (1 + self.options.gap) * log.bound + TOLERANCE:
                 log.statistics.setdefault("closed_length", log.best[0])
                 log.statistics.setdefault("closed_queries", log.clock.queries)
-                batch = self.refinement.edges(log.best[0], self.batch)
+                batch = self.refinement.edges(log.best[0], self.batch, log.clock.queries)
                 attempts = [self.refinement.attempts(edge) for edge in batch]
             else:
                 batch, attempts = self.most_telling(), self.options.attempts

@@ -86,7 +86,7 @@ class Refinement:
         self._tries: dict[Edge, int] = {}  # of edges that this planned; all other closed ones had one
         self._planned: set[Edge] = set()  # in this pass
         self._asked: list[Edge] = []
-        self._started_at = math.inf  # length when the pass began, m
+        self._started_at, self._queries = math.inf, 0  # length, m, and queries when the pass began
         self._settled: LatticeBounds
         self._sequences: SequenceBounds | None = None
         self.passes = 0
@@ -95,16 +95,17 @@ class Refinement:
         """Attempts that an edge has had when it is planned once more."""
         return self._attempts * (self._tries.get(edge, 1) + 1)
 
-    def edges(self, length: float, count: int) -> list[Edge]:
+    def edges(self, length: float, count: int, queries: int) -> list[Edge]:
         """What to plan next, each edge with its `attempts`; nothing where the refinement has ended.
 
         Args:
             length: of the best sequence, m.
             count: at most so many, of different parts.
+            queries: that the search has asked so far.
         """
         self._take_in(self._asked)
         self._asked = []
-        while not self._asked and (self._sequences is not None or self._begin(length)):
+        while not self._asked and (self._sequences is not None or self._begin(length, queries)):
             assert self._sequences is not None
             self._sequences.update()
             if self._sequences.lower < (1.0 - self._options.worth) * length - TOLERANCE:
@@ -120,13 +121,15 @@ class Refinement:
             self._planned.add(edge)
             self._settled.look_again(edge[1])
 
-    def _begin(self, length: float) -> bool:
+    def _begin(self, length: float, queries: int) -> bool:
         """Start another pass, unless the last one did not gain enough."""
         gained = self._started_at - length
         if self.passes == self._options.passes or gained < self._options.worth * length:
             return False
+        if self.passes and queries == self._queries:
+            return False  # nothing is left that could matter and that the planner has not answered for good
         self.passes += 1
-        self._started_at = length
+        self._started_at, self._queries = length, queries
         self._planned.clear()
         self._settled = LatticeBounds(self._lattice, self._bounds, self._is_settled)
         self._sequences = SequenceBounds(self._lattice, Hopes(self._known, self._settled, self._options.optimism))
