@@ -186,7 +186,8 @@ def test_bounds_of_all_edges_and_sequences_equal_those_of_single_edges(seed: int
     states = [lattice.state(row) for row in range(len(lattice.states))]
     rng = np.random.default_rng(seed)
     bounds = EdgeBounds([0.3] * (max(numbers) + 1))
-    table, sequences = LatticeBounds(lattice, bounds), SequenceBounds(lattice, bounds)
+    table = LatticeBounds(lattice, bounds)
+    sequences = SequenceBounds(lattice, LatticeBounds(lattice, bounds))
     before = table.lower.copy()
     for _ in range(30):
         for _ in range(int(rng.integers(1, 4))):

@@ -23,6 +23,7 @@ assembly
 plan
 profile_layout
 profiles
+cells
 stability
 workcell
 robot

@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 import takeapart
+from takeapart.cli_compare import compare
 from takeapart.cli_demo import demo
 from takeapart.cli_generate import generate
 from takeapart.cli_inspect import explain, show
@@ -91,5 +92,19 @@ def main(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for _command in (demo, generate, plan, show, explain, assemble, verify, view, render, report, train, reproduce):
+for _command in (
+    demo,
+    generate,
+    plan,
+    show,
+    explain,
+    assemble,
+    verify,
+    view,
+    render,
+    report,
+    compare,
+    train,
+    reproduce,
+):
     main.add_command(_command)

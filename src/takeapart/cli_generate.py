@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,9 @@ from takeapart.cli_output import (
     require_output,
     workcell_option,
 )
+from takeapart.errors import InputError
+
+SEEDS_APART = 1000  # seeds of the cells of one file
 
 if TYPE_CHECKING:
     from takeapart.assembly import Assembly
@@ -55,11 +60,19 @@ if TYPE_CHECKING:
     help="Least distance of random bars to what they are not joined to, m.",
 )
 @click.option(
+    "--cells",
+    type=click.IntRange(1, 4),
+    default=1,
+    show_default=True,
+    help="Assemblies around the robot in one file: in front, left, right, behind; goes with --workcell panda-cells.",
+)
+@click.option(
     "--seed",
     type=click.IntRange(0, LARGEST_SEED),
     default=0,
     show_default=True,
-    help="Of the first file; file k has the seed SEED + k - 1, so each can be made again alone.",
+    help="Of the first file; file k has the seed SEED + k - 1, so each can be made again alone. Further cells have "
+    "seeds 1000 apart.",
 )
 @click.option(
     "--count", type=click.IntRange(1, 9999), default=1, show_default=True, help="How many files: 01.json, 02.json, ..."
@@ -89,6 +102,7 @@ def generate(
     minimum_length: float,
     spacing: float,
     clearance: float,
+    cells: int,
     seed: int,
     count: int,
     out: Path,
@@ -101,9 +115,11 @@ def generate(
 
     Candidates are drawn until one has a feasible order of removals, which is kept in the file as its witness; how many
     were rejected, and why, is printed and kept too. The defaults give assemblies with 21 removable parts; --layers 2
-    --back 3 --front 3 gives 30.
+    --back 3 --front 3 gives 30. The arm reaches no larger ones; more layers need less height each and a higher base
+    (--workcell panda-tall), more than 100 parts stand around the robot (--cells 4 --workcell panda-cells).
     """
     from takeapart import profiles
+    from takeapart.cells import cells_around
     from takeapart.files import load_workcell, save_assembly
     from takeapart.robot.model import load_robot
 
@@ -119,7 +135,19 @@ def generate(
     with progress_bar("generating") as update:
         for number, file in enumerate(files, 1):
             finder = _order_finder(cell, robot, seed + number - 1, _counter(update, file, (number - 1) / count))
-            made = profiles.generate(options, seed + number - 1, finder, f"{name}-{number:02d}", candidates)
+            title = f"{name}-{number:02d}"
+            stands = [
+                profiles.generate(options, seed + number - 1 + SEEDS_APART * k, finder, title, candidates)
+                for k in range(cells)
+            ]
+            made = stands[0]
+            if cells > 1:
+                assembly = cells_around([each.assembly for each in stands], cell.T_world_base, title)
+                order = finder(assembly)
+                if isinstance(order, str):
+                    raise InputError(f"{order}, though each cell has one; try another seed", title)
+                rejections = sum((Counter(each.rejections) for each in stands), Counter[str]())
+                made = replace(made, assembly=replace(assembly, witness=order), rejections=dict(rejections))
             save_assembly(made.assembly, file)
             results.append(
                 {

@@ -93,6 +93,12 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     help="exact only. Threads that plan removals; the plan does not depend on it.  [default: 1]",
 )
 @click.option(
+    "--refine",
+    type=click.IntRange(0),
+    help="exact only. Once the order is proved, plan removals that could make it shorter again, up to so many times "
+    "while that gains 0.1 % each time; 0 ends with the proof.  [default: 8]",
+)
+@click.option(
     "--out", type=FILE, help="The plan file.  [default: <name of the assembly file>.plan.json in the current folder]"
 )
 @click.option(
@@ -134,6 +140,7 @@ def plan(
     memory: str | None,
     attempts: int,
     workers: int | None,
+    refine: int | None,
     out: Path | None,
     run: Path | None,
     guide: Path | None,
@@ -153,6 +160,8 @@ def plan(
         raise click.UsageError(f"--memory goes with --search mcts only, not with {search}")
     if workers is not None and search != "exact":
         raise click.UsageError(f"--workers goes with --search exact only, not with {search}")
+    if refine is not None and search != "exact":
+        raise click.UsageError(f"--refine goes with --search exact only, not with {search}")
     if guide is not None and search not in GUIDED:
         raise click.UsageError(f"--guide goes with --search {', '.join(GUIDED)} only, not with {search}")
     if experience is not None and search not in RECORDED:
@@ -160,7 +169,7 @@ def plan(
     out = out or Path(f"{assembly.stem}.plan.json")
     product, cell = load_assembly(assembly), load_workcell(workcell)
     require_output(out, assembly, Path(workcell))
-    options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1)
+    options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1, refine)
     advice = loaded_guide(guide, product)
     with recorder(experience, product, options) as record, live_view(product, cell) if watch else nullcontext() as live:
         made, interrupted = make_plan(product, cell, options, run, advice, record, live)
@@ -183,6 +192,7 @@ def options_of(
     memory: Any = "library",
     attempts: int = 1,
     workers: int = 1,
+    refine: int | None = None,
 ) -> PlanningOptions:
     """The command's options as those of the library."""
     from takeapart.planning import PlanningOptions
@@ -191,10 +201,11 @@ def options_of(
     options = PlanningOptions(
         search=search, seed=seed, budget=Budget(episodes or math.inf, seconds or math.inf, queries or math.inf)
     )
+    refinement = options.exact.refinement if refine is None else replace(options.exact.refinement, passes=refine)
     return replace(
         options,
         mcts=replace(options.mcts, memory=memory, attempts=attempts),
-        exact=replace(options.exact, attempts=attempts, workers=workers),
+        exact=replace(options.exact, attempts=attempts, workers=workers, refinement=refinement),
         beam=replace(options.beam, attempts=attempts),
         order=replace(options.order, attempts=attempts),
         restarts=replace(options.restarts, order=replace(options.restarts.order, attempts=attempts)),

@@ -2,7 +2,9 @@
 
 Every round solves the order of parts twice by dynamic programming: on the lower bounds of all edges, whose optimum no
 order can undercut, and on what is known to work, whose optimum is a plan. Then it asks the removal planner for open
-edges of the sequence that looks best, and stops when both optima meet. Most edges are never asked for.
+edges of the sequence that looks best, until both optima meet. Most edges are never asked for. Then it plans those
+edges again, with other seeds, that may still make the sequence shorter (`refinement`), and closes the gap that a
+shorter edge may open.
 
 What the numbers are:
 
@@ -27,8 +29,9 @@ from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.inquiry import Edge, Inquiry, bounds_of, refusals_in
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
-from takeapart.search.lattice_bounds import TOLERANCE, SequenceBounds
+from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
 from takeapart.search.mcts import MAXIMUM_REFUSALS, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 
 MANY_STATES = 500_000
@@ -52,8 +55,7 @@ class ExactOptions:
         workers: threads that ask; the result does not depend on it. More than `batch` have nothing to do.
         second_look: attempts with which the parts that block a dead end are planned again before no order is believed
             to exist; 0 believes at once.
-        refine: attempts with which the edges of the best sequence are planned again in the end, where they are longer
-            than their static bound; 0 does not refine.
+        refinement: once the gap is closed.
         state_limit: of the lattice; a state with 10 candidates takes about 350 bytes. Beyond, best-first search
             takes over.
         best_first: its options.
@@ -64,12 +66,12 @@ class ExactOptions:
     batch: int = 0
     workers: int = 1
     second_look: int = 4
-    refine: int = 0
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
     state_limit: int = 2_000_000
     best_first: BestFirstOptions = field(default_factory=BestFirstOptions)
 
     def __post_init__(self) -> None:
-        for name, least in (("attempts", 1), ("batch", 0), ("workers", 1), ("second_look", 0), ("refine", 0)):
+        for name, least in (("attempts", 1), ("batch", 0), ("workers", 1), ("second_look", 0)):
             if getattr(self, name) < least:
                 raise InputError(f"{getattr(self, name)}; must be at least {least}", f"exact.{name}")
         if not 0 <= self.gap < math.inf:
@@ -96,7 +98,8 @@ def exact(
 
     Returns:
         best sequence, its length and `sequence_bound`; where there is no order, the statistic "infeasible" 1 and the
-        deepest dead ends as refusals.
+        deepest dead ends as refusals. The statistics "closed_length" and "closed_queries" are those of the moment in
+        which the gap was closed for the first time, "passes" those of the refinement.
     """
     log = Logbook(problem, budget, listen, observe)
     interrupted = False
@@ -137,28 +140,43 @@ class _LazySearch:
     ) -> None:
         self.log, self.lattice, self.bounds, self.inquiry = log, lattice, bounds, inquiry
         self.options, self.guide = options, guide
-        self.sequences = SequenceBounds(lattice, bounds)
+        edges = LatticeBounds(lattice, bounds)
+        self.sequences = SequenceBounds(lattice, edges)
+        self.refinement = Refinement(lattice, bounds, edges, options.attempts, options.refinement)
         self.looked_twice: set[Edge] = set()
-        self.refined: set[Edge] = set()
 
     def run(self) -> None:
-        """Until the gap is closed or no order is left; raises BudgetSpentError where that takes too long."""
+        """Until the gap is closed and refinement is no longer worth it, or no order is left.
+
+        Raises:
+            BudgetSpentError: that takes too long.
+        """
+        log = self.log
         self.close_smallest_states()
         self.settle()
-        if math.isinf(self.log.best[0]):
+        if math.isinf(log.best[0]):
             self.descend()
+        attempts: int | list[int]
         while True:
             self.settle()
             if math.isinf(self.sequences.lower):
                 batch, attempts = self.doubtful_refusals(), self.options.second_look
-            elif self.log.best[0] <= (1 + self.options.gap) * self.log.bound + TOLERANCE:
-                batch, attempts = self.improvable(), self.options.refine
+            elif log.best[0] <= (1 + self.options.gap) * log.bound + TOLERANCE:
+                log.statistics.setdefault("closed_length", log.best[0])
+                log.statistics.setdefault("closed_queries", log.clock.queries)
+                batch = self.refinement.edges(log.best[0], self.batch, log.clock.queries)
+                attempts = [self.refinement.attempts(edge) for edge in batch]
             else:
                 batch, attempts = self.most_telling(), self.options.attempts
             if not batch:
                 return
             self.inquiry.ask(batch, attempts)
-            self.log.clock.episodes += 1
+            log.clock.episodes += 1
+
+    @property
+    def batch(self) -> int:
+        """Edges asked per round."""
+        return self.options.batch or (2 if len(self.lattice.states) < MANY_STATES else 8)
 
     def settle(self) -> None:
         """Bring bounds, best sequence and refusals up to date with all that was learned, and report."""
@@ -178,6 +196,7 @@ class _LazySearch:
             "edges": len(self.lattice.child),
             "states_left": len(sequences.rows),
             "infeasible": float(math.isinf(log.bound)),
+            "passes": self.refinement.passes,
         }
         log.report()
 
@@ -219,7 +238,7 @@ class _LazySearch:
         """Open edges of the sequence that looks best."""
         sequences = self.sequences
         open_edges = [(row, edge, part) for row, edge, part in sequences.most_promising() if sequences.is_open(edge)]
-        batch = self.options.batch or (2 if len(self.lattice.states) < MANY_STATES else 8)
+        batch = self.batch
         last = batch // 2
         chosen, others = open_edges[-last:] if last else [], open_edges[: len(open_edges) - last]
 
@@ -230,19 +249,6 @@ class _LazySearch:
 
         chosen = sorted(others, key=telling, reverse=True)[: batch - last] + chosen
         return [(self.lattice.state(row), part) for row, _, part in chosen]
-
-    def improvable(self) -> list[Edge]:
-        """Edges of the best sequence that were not refined yet and are longer than they would have to be."""
-        if not self.options.refine:
-            return []
-        steps = [(self.lattice.state(row), part) for row, _, part in self.sequences.best_known()]
-        found = [
-            step
-            for step in steps
-            if step not in self.refined and self.bounds.upper(*step) > self.bounds.static(step[1]) + TOLERANCE
-        ]
-        self.refined.update(found)
-        return found
 
     def doubtful_refusals(self) -> list[Edge]:
         """Edges out of a dead end that were refused, but not looked at twice: those of the deepest one that has any."""

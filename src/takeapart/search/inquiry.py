@@ -46,11 +46,12 @@ class Inquiry:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def ask(self, edges: Sequence[Edge], attempts: int | None = None) -> None:
+    def ask(self, edges: Sequence[Edge], attempts: int | Sequence[int] | None = None) -> None:
         """Plan edges with the full effort, each only for something shorter than what is known, and close them.
 
         Args:
             edges: of different parts. Those beyond the budget in queries are left out.
+            attempts: of all or of each, instead of the usual ones.
 
         Raises:
             BudgetSpentError: before anything is asked, or because the time ran out within the batch.
@@ -60,7 +61,8 @@ class Inquiry:
             raise BudgetSpentError
         room = clock.budget.queries - clock.queries
         asked = [edge for i, edge in enumerate(edges) if i < room]
-        efforts = [Effort(attempts or self._attempts, self._bounds.upper(*edge)) for edge in asked]
+        each = [attempts or self._attempts] * len(edges) if isinstance(attempts, int | None) else attempts
+        efforts = [Effort(number, self._bounds.upper(*edge)) for edge, number in zip(asked, each, strict=False)]
         if self._pool is None:
             for edge, effort in zip(asked, efforts, strict=True):
                 self._book(edge, self._query(edge, effort))

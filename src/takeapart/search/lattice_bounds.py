@@ -9,13 +9,14 @@ are computed afresh.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.compilation import compiled
-from takeapart.removal.bounds import EdgeBounds
+from takeapart.removal.bounds import ClosedEdge, EdgeBounds
 from takeapart.search.lattice import Lattice, Values, cost_from_root, cost_to_go, pack
 
 TOLERANCE = 1e-9  # m; sums of the same lengths in another order differ by less
@@ -24,16 +25,34 @@ Step = tuple[int, int, int]
 """Row of a state, edge that leaves it, number of the part that leaves."""
 
 
+Belief = Callable[[int, ClosedEdge], bool]
+"""Whether a closed edge of a part counts."""
+
+
+class EdgeCosts(Protocol):
+    """What dynamic programming needs: (E,) bounds, m, of all edges of a lattice."""
+
+    lower: Values
+    upper: Values
+
+    def update(self) -> tuple[bool, bool]:
+        """Whether a bound may have changed since the last call, and whether a lower bound may have fallen."""
+        ...
+
+
 class LatticeBounds:
     """`lower` and `upper` of all edges of a lattice.
+
+    Args:
+        believe: closed edges that count for `lower`; by default all do.
 
     Attributes:
         lower: (E,) m, infinite where the part is known to be blocked; equal to `upper` where the edge is closed.
         upper: (E,) m, infinite where no removal is known.
     """
 
-    def __init__(self, lattice: Lattice, bounds: EdgeBounds) -> None:
-        self._lattice, self._bounds = lattice, bounds
+    def __init__(self, lattice: Lattice, bounds: EdgeBounds, believe: Belief | None = None) -> None:
+        self._lattice, self._bounds, self._believe = lattice, bounds, believe
         static = np.array([bounds.static(part) for part in lattice.parts], dtype=np.float64)
         self.lower: Values = static[lattice.edge_part]
         self.upper: Values = np.full(len(lattice.child), math.inf)
@@ -56,6 +75,10 @@ class LatticeBounds:
                 self._versions[k] = version
         return changed, fell
 
+    def look_again(self, part: int) -> None:
+        """Let the next update ask anew which closed edges of a part count."""
+        self._versions[self._lattice.parts.index(part)] = -1
+
     def _update_part(self, k: int, part: int) -> bool:
         lattice, bounds = self._lattice, self._bounds
         group = slice(lattice.first_of_part[k], lattice.first_of_part[k + 1])
@@ -66,7 +89,8 @@ class LatticeBounds:
                 blockers = pack(removal.blockers, lattice.parts)
                 fell |= _take_removal(lattice.states, sources, edges, blockers, removal.length, self.lower, self.upper)
                 self._removals[k].add((removal.length, removal.blockers))
-        costs = {edge.state: bounds.upper(edge.state, part) for edge in bounds.closed_edges(part)}
+        counting = [each for each in bounds.closed_edges(part) if self._believe is None or self._believe(part, each)]
+        costs = {each.state: bounds.upper(each.state, part) for each in counting}
         undercut = any(costs[state] < cost for state, cost in self._costs[k].items())
         if undercut:
             self.lower[edges] = np.minimum(bounds.static(part), self.upper[edges])
@@ -85,14 +109,13 @@ class SequenceBounds:
     stay what they were, which are still bounds, and they come back if a lower bound falls.
 
     Attributes:
-        lower: no sequence is shorter, m, as far as `EdgeBounds.lower` goes; or it is above `upper`, which then is best.
+        lower: no sequence is shorter, m, as far as the lower bounds go; or it is above `upper`, which then is best.
         upper: length of the shortest sequence of known removals, m.
         rows: of the states that still matter, ascending.
     """
 
-    def __init__(self, lattice: Lattice, bounds: EdgeBounds) -> None:
-        self._lattice = lattice
-        self._edges = LatticeBounds(lattice, bounds)
+    def __init__(self, lattice: Lattice, edges: EdgeCosts) -> None:
+        self._lattice, self._edges = lattice, edges
         self._all_rows = np.arange(len(lattice.states) - (lattice.goal >= 0), dtype=np.int32)  # the goal is last
         self.rows: NDArray[np.int32] = self._all_rows
         self._to_go = np.zeros(len(lattice.states))  # over lower
