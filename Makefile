@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow lint format types bench verify-all paper paper-quick mutations fuzz pictures browser wheel clean
+.PHONY: help demo kernels test slow lint format types bench verify-all paper paper-quick mutations fuzz pictures browser wheel clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /: /'
@@ -20,10 +20,13 @@ $(READY): pyproject.toml requirements.txt requirements-dev.txt
 demo: $(READY)  ## plan the disassembly of a shipped assembly; writes out/demo
 	$(BIN)/takeapart demo --out out/demo
 
-test: $(READY)  ## the quick tests
+kernels: $(READY)  ## compile the geometry kernels, unless that was done
+	$(BIN)/python -m takeapart.cli_compile
+
+test: kernels  ## the quick tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow'
 
-slow: $(READY) browser  ## the slow tests
+slow: kernels browser  ## the slow tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 lint: $(READY)  ## style and formatting
