@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow lint format types bench verify-all mutations fuzz wheel clean
+.PHONY: help demo test slow lint format types bench verify-all paper paper-quick mutations fuzz wheel clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /: /'
@@ -43,11 +43,20 @@ bench: $(READY)  ## the figures of docs/benchmarks.md
 verify-all: $(READY)  ## plan and verify every shipped assembly by every search; tables of docs/verification.md
 	$(BIN)/python -m takeapart.experiments.verify_all --document docs/verification.md
 
+paper: $(READY)  ## the paper's experiments in full, about two hours; docs/results.md and results/paper
+	$(BIN)/takeapart reproduce paper --out out/paper --document docs/results.md
+	mkdir -p results/paper
+	cp out/paper/*.csv out/paper/*.png results/paper
+
+paper-quick: $(READY)  ## the same in small, within minutes; writes out/paper-quick
+	$(BIN)/takeapart reproduce paper --quick --out out/paper-quick
+
 mutations: $(READY)  ## corrupt plans and see them refused; table of docs/reliability.md
 	$(BIN)/python tests/mutation_table.py --document docs/reliability.md
 
-fuzz: $(READY)  ## 100,000 broken files for the readers; table of docs/reliability.md
+fuzz: $(READY)  ## 100,000 broken files for the readers, and more where atheris is installed; table of docs/reliability.md
 	$(BIN)/python tests/fuzz_readers.py --inputs 100000 --document docs/reliability.md
+	$(BIN)/python tests/fuzz_atheris.py
 
 wheel: $(READY)  ## dist/*.whl
 	$(BIN)/python -m build --no-isolation --outdir dist .

@@ -11,7 +11,7 @@ import pytest
 from takeapart.assembly import Assembly, members
 from takeapart.files import data_path, load_workcell
 from takeapart.geometry import Array, OrientedBox
-from takeapart.motion.edges import Scene, new_scene
+from takeapart.motion.scene import Scene, new_scene
 from takeapart.problem import AssemblyProblem
 from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
 from takeapart.removal.masks import flags_of
@@ -92,9 +92,17 @@ def edges(planner: RemovalPlanner) -> list[Edge]:
     return found
 
 
-def scene_of(robot: RobotModel, held: HeldArrays, world: WorldArrays, state: int, parts: int, padding: float) -> Scene:
+def scene_of(
+    robot: RobotModel,
+    held: HeldArrays,
+    world: WorldArrays,
+    state: int,
+    parts: int,
+    padding: float,
+    step: float = 0.001,
+) -> Scene:
     """A planning situation with scratch memory of its own."""
-    return new_scene(robot.arm, held, world, flags_of(state, parts), padding, robot.workspace(64))
+    return new_scene(robot.arm, held, world, flags_of(state, parts), padding, step, robot.workspace(64))
 
 
 def random_rotation(rng: np.random.Generator) -> Array:

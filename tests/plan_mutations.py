@@ -105,6 +105,35 @@ def wrong_hash(target: Target, rng: np.random.Generator) -> Corrupted:
 
 
 @mutation
+def other_name(target: Target, rng: np.random.Generator) -> Corrupted:
+    """The hashes are right, but the plan says that it is for something else."""
+    origin = ("assembly", "workcell")[int(rng.integers(2))]
+    return Corrupted("other_name", replace(target.plan, **{origin: "another"}), "hash", None)  # type: ignore[arg-type]
+
+
+@mutation
+def made_for_another_base(target: Target, rng: np.random.Generator) -> Corrupted:
+    """As planned where the robot stands some millimetres away; hashes forged."""
+    offset = rng.normal(size=3)
+    offset *= rng.uniform(5e-4, 0.01) / np.linalg.norm(offset)
+    steps = [
+        replace(
+            step,
+            grasp=replace(step.grasp, center=step.grasp.center + offset),
+            tool_path=step.tool_path + [*offset, 0, 0, 0, 0],
+        )
+        for step in target.plan.steps
+    ]
+    return Corrupted("made_for_another_base", _with_steps(target.plan, steps), "tool_path", None)
+
+
+@mutation
+def direction_unknown(target: Target, rng: np.random.Generator) -> Corrupted:
+    name = ("", "sideways", "Assembly")[int(rng.integers(3))]
+    return Corrupted("direction_unknown", replace(target.plan, direction=name), "schema", None)
+
+
+@mutation
 def part_dropped(target: Target, rng: np.random.Generator) -> Corrupted:
     k, _ = _any_step(target, rng)
     steps = [step for i, step in enumerate(target.plan.steps) if i != k]
@@ -249,6 +278,23 @@ def width_beyond_gripper(target: Target, rng: np.random.Generator) -> Corrupted:
 def length_shortened(target: Target, rng: np.random.Generator) -> Corrupted:
     k, step = _any_step(target, rng)
     return _changed(target, "length_shortened", "length", k, length=step.length - float(rng.uniform(1e-5, 0.1)))
+
+
+@mutation
+def length_trimmed(target: Target, rng: np.random.Generator) -> Corrupted | None:
+    """Every row of the tool path is off by less than its tolerance, but all so that the path becomes shorter."""
+    k, step = _any_step(target, rng)
+    tool_path = step.tool_path.copy()
+    points = tool_path[:, :3]
+    for _ in range(400):  # drawn tight as far as the tolerance allows; the ends move along the path
+        inner = np.vstack([points[1:2], (points[:-2] + points[2:]) / 2, points[-2:-1]])
+        off = inner - step.tool_path[:, :3]
+        points = (
+            step.tool_path[:, :3] + off * np.minimum(1, 9e-5 / np.maximum(np.linalg.norm(off, axis=1), 1e-12))[:, None]
+        )
+    tool_path[:, :3] = points
+    corrupted = _rerouted(target, "length_trimmed", "length", k, step.joint_path, tool_path)
+    return corrupted if step.length - corrupted.plan.steps[k].length > 1.2e-4 else None
 
 
 @mutation
@@ -402,6 +448,19 @@ def lift_bobs(target: Target, rng: np.random.Generator) -> Corrupted:
 
 
 @mutation
+def lift_sinks(target: Target, rng: np.random.Generator) -> Corrupted:
+    """Halfway up the part sinks again by a few millimetres, in rows so close that none of them shows it."""
+    k, step = _any_step(target, rng)
+    a = int(rng.integers(1, _lift_rows(target, step) - 1))
+    depth = float(rng.uniform(5e-4, 2e-3))
+    pieces = int(np.ceil(np.linalg.norm(step.tool_path[a + 1, :3] - step.tool_path[a, :3]) / 8e-6))
+    share = np.linspace(0, 1, pieces + 1)[: max(2, round(pieces * min(1.0, depth / 5e-3)))]
+    between = step.joint_path[a] + (step.joint_path[a + 1] - step.joint_path[a]) * share[:, None]
+    joints = np.vstack([step.joint_path[: a + 1], between[1:], between[-2::-1], step.joint_path[a + 1 :]])
+    return _rerouted(target, "lift_sinks", "lift", k, joints, tool_rows(joints, target.workcell.T_world_base))
+
+
+@mutation
 def lift_turns(target: Target, rng: np.random.Generator) -> Corrupted:
     """The tool turns about its axis while it lifts."""
     k, step = _any_step(target, rng)
@@ -444,6 +503,37 @@ def waypoint_in_bar(target: Target, rng: np.random.Generator) -> Corrupted | Non
     joint_path = np.vstack([step.joint_path[: row + 1], detour, detour[-2::-1], step.joint_path[row:]])
     tool_path = np.vstack([step.tool_path[: row + 1], tool, tool[-2::-1], step.tool_path[row:]])
     return _rerouted(target, "waypoint_in_bar", "collision", k, joint_path, tool_path)
+
+
+@mutation
+def waypoint_in_environment(target: Target, rng: np.random.Generator) -> Corrupted | None:
+    """A smooth detour drives the tool into an obstacle, and back."""
+    k, step = _any_step(target, rng)
+    if not target.workcell.environment:
+        return None
+    obstacle = target.workcell.environment[int(rng.integers(len(target.workcell.environment)))].box
+    first, rows = _lift_rows(target, step), len(step.joint_path)
+    row = int(rng.integers(first + 1, rows - 1))
+    T, half = obstacle.T_frame_box, obstacle.half_extents
+    local = T[:3, :3].T @ (step.tool_path[row, :3] - T[:3, 3])
+    inside = T[:3, 3] + T[:3, :3] @ np.clip(local, -0.7 * half, 0.7 * half)
+    base = target.workcell.T_world_base
+    rotation = rotation_from_quaternion(step.tool_path[row, 3:])
+    detour = line_path([step.tool_path[row, :3], inside], rotation, base, step.joint_path[row])[1:]
+    tool = tool_rows(detour, base)
+    if np.linalg.norm(tool[-1, :3] - inside) > 1e-6 or np.abs(np.diff(detour, axis=0)).max() > 0.09:
+        return None  # out of reach, or too close to a singularity
+    joint_path = np.vstack([step.joint_path[: row + 1], detour, detour[-2::-1], step.joint_path[row:]])
+    tool_path = np.vstack([step.tool_path[: row + 1], tool, tool[-2::-1], step.tool_path[row:]])
+    return _rerouted(target, "waypoint_in_environment", "collision", k, joint_path, tool_path)
+
+
+@mutation
+def start_skipped(target: Target, rng: np.random.Generator) -> Corrupted:
+    """The path begins above the grasp."""
+    k, step = _any_step(target, rng)
+    cut = int(rng.integers(1, 4))
+    return _rerouted(target, "start_skipped", "start_pose", k, step.joint_path[cut:], step.tool_path[cut:])
 
 
 @mutation

@@ -202,6 +202,17 @@ def test_greedy_takes_the_shortest_next_removal_and_misses_the_optimum() -> None
             state &= ~(1 << removal.part)
 
 
+def test_true_guide_makes_greedy_optimal_with_one_query_per_part() -> None:
+    better = 0
+    for seed in range(10):
+        problem = random_problem(8, seed)
+        result = greedy(problem, OrderOptions(), Budget(), np.random.default_rng(seed), guide=exact_guide(problem))
+        assert result.length == pytest.approx(problem.optimum()[0])
+        assert problem.counts.removal_queries == 8
+        better += result.length < run_greedy(random_problem(8, seed), Budget(), seed).length - 1e-9
+    assert better  # or the guide would not be told from the shortest next removal
+
+
 def test_restarts_keep_the_best_and_reach_the_optimum_of_a_small_problem() -> None:
     for seed in range(4):
         problem = random_problem(5, seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 import os
 import resource
@@ -31,7 +32,7 @@ from takeapart.cli_plan import options_of
 from takeapart.errors import InputError
 from takeapart.files import load_assembly, load_plan, load_workcell, save_assembly
 from takeapart.plan import Grasp, Plan
-from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity
+from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity, sources_digest
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
@@ -159,6 +160,28 @@ def test_another_assembly_or_workcell_is_refused(tmp_path: Path) -> None:
         plan(two_bars(), moved, OPTIONS, run=tmp_path)
 
 
+def test_a_run_of_other_sources_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(CutOffError), counted(1):
+        plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
+    monkeypatch.setattr("takeapart.planning.sources_digest", lambda: "0" * 64)
+    with pytest.raises(InputError, match=r"sources was '\w{12}\.\.\.'?, now '?0{12}\.\.\.'?; take another folder"):
+        plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
+
+
+def test_every_source_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "takeapart"
+    (package / "removal").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "removal" / "planner.py").write_text("a = 1\n")
+    monkeypatch.setattr("takeapart.planning.takeapart.__file__", str(package / "__init__.py"))
+    digests = [sources_digest.__wrapped__()]
+    (package / "removal" / "planner.py").write_text("a = 2\n")
+    digests.append(sources_digest.__wrapped__())
+    (package / "removal" / "planner.py").rename(package / "planner.py")
+    digests.append(sources_digest.__wrapped__())
+    assert len(set(digests)) == 3 and sources_digest.__wrapped__() == digests[-1]
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     """All files that hold data: not the lock, an empty log, and SQLite's index of its log."""
     files = {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if not path.name.endswith("-shm")}
@@ -283,6 +306,17 @@ def refused(path: Path) -> None:
     assert path.read_bytes() == before
 
 
+def test_text_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    """SQLite keeps any bytes in a column of text, and its check of the file does not mind them."""
+    path = tmp_path / "journal.sqlite"
+    filled(path)
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE answers SET state = CAST(x'e0ff' AS TEXT) WHERE rowid = 3")
+    connection.close()
+    refused(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["journal.sqlite"], "nothing is left beside it"
+
+
 def test_flipped_bits_never_change_an_answer(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     answers = filled(path, 12)
@@ -350,6 +384,17 @@ def test_a_damaged_description_is_told(text: str, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text(text)
     with pytest.raises(InputError, match=r"run\.json"), open_run(tmp_path, IDENTITY):
         pass
+
+
+def test_strange_keys_of_a_description_are_shown_in_one_line(tmp_path: Path) -> None:
+    with open_run(tmp_path, IDENTITY):
+        pass
+    document = json.loads((tmp_path / "run.json").read_text())
+    document["options"] |= {"\n\ud800": 1, "a" * 200: 2}
+    (tmp_path / "run.json").write_text(json.dumps(document))
+    with pytest.raises(InputError) as caught, open_run(tmp_path, IDENTITY):
+        pass
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 350 + len(str(tmp_path))
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
@@ -615,7 +660,6 @@ def _saved(assembly: Assembly) -> Assembly:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="open: a continued run was once seen to end otherwise")
 @pytest.mark.parametrize(
     ("case", "kills"), list(zip(CASES, (17, 17, 16), strict=True)), ids=lambda value: getattr(value, "name", str(value))
 )

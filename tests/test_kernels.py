@@ -26,20 +26,11 @@ from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays
+from takeapart.robot.grid import boxes_meet
+from takeapart.robot.hand import collect_hand
 from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.kernels import (
-    FREE,
-    HIT_SELF,
-    HIT_WORLD,
-    boxes_meet,
-    check,
-    collect,
-    collect_hand,
-    forward,
-    jacobian,
-    place_held,
-    reach_of_joints,
-)
+from takeapart.robot.kernels import FREE, HIT_SELF, HIT_WORLD, LARGEST_MARGIN, check, collect, placed
+from takeapart.robot.kinematics import forward, jacobian, motion_of_ball, place, place_held, set_motion
 from takeapart.robot.model import RobotModel
 from takeapart.verification_model import STATIC_BITS
 from takeapart.verification_model import Scene as MujocoScene
@@ -188,8 +179,8 @@ def situations(planner: RemovalPlanner, count: int, each: int, rng: np.random.Ge
     while len(found) < count:
         part = int(rng.choice(parts))
         state = random_states(assembly, 1, rng)[0] | 1 << part
-        bounds = planner.reach.bounds(part)
-        candidate = bounds[int(rng.integers(len(bounds)))][1]
+        candidates = planner.reach.candidates(part)
+        candidate = candidates[int(rng.integers(len(candidates)))]
         T_world_tool = assembly.parts[part].T_world_part @ candidate.T_part_tool
         T_world_tool[2, 3] += rng.uniform(0, 0.15)
         starts = ik.solve(T_world_tool)
@@ -471,42 +462,87 @@ def test_jacobian_agrees_with_finite_differences(robot: RobotModel) -> None:
             np.testing.assert_allclose(J[:, j], np.concatenate([linear, angular]), atol=1e-7)
 
 
-def points_of(robot: RobotModel, held: HeldArrays, q: Array) -> Array:
-    """Points (K, 3) of arm, gripper and load in the world: where the spheres reach, and the corners of the boxes."""
+def points_of(robot: RobotModel, held: HeldArrays, q: Array) -> list[tuple[int, Array]]:
+    """Points (K, 3) in the world of every body and then of fingers and part, each with the frame it moves with."""
     work = robot.workspace(64)
     forward(robot.arm, q, work)
     place_held(held, work)
     directions = np.concatenate([np.eye(3), -np.eye(3)])
     found = []
-    for body in range(1, len(robot.arm.body_frame)):
-        frame = robot.arm.body_frame[body]
-        for s in range(robot.arm.body_start[body], robot.arm.body_start[body + 1]):
-            local = robot.arm.sphere_center[s] + robot.arm.sphere_radius[s] * directions
-            found.append(local @ work.R[frame].T + work.p[frame])
-    for h in range(len(held.half)):
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = work.box_axes[h].T, work.box_center[h]
-        found.append(OrientedBox(T, held.half[h]).corners())
-    return np.concatenate(found)
+    for body in range(len(robot.arm.body_frame)):
+        frame = int(robot.arm.body_frame[body])
+        some = slice(int(robot.arm.body_start[body]), int(robot.arm.body_start[body + 1]))
+        local = robot.arm.sphere_center[some, None] + robot.arm.sphere_radius[some, None, None] * directions
+        found.append((frame, local.reshape(-1, 3) @ work.R[frame].T + work.p[frame]))
+    for g in range(2):
+        corners = []
+        for h in range(held.group[g], held.group[g + 1]):
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = work.box_axes[h].T, work.box_center[h]
+            corners.append(OrientedBox(T, held.half[h]).corners())
+        found.append((robot.joints, np.concatenate(corners)))
+    return found
 
 
-def test_reach_of_joints_bounds_every_motion(robot: RobotModel) -> None:
+def test_margins_bound_every_motion_however_far_the_joints_turn(robot: RobotModel) -> None:
     rng = np.random.default_rng(52)
     tight = []
     for q in random_configurations(robot, 150, rng):
         held, work = a_load(robot, rng), robot.workspace(64)
-        reach = np.zeros(robot.joints)
-        reach_of_joints(robot.arm, held, q, work, reach)
         start = points_of(robot, held, q)
-        for _ in range(4):
+        for size in (1e-3, 0.05, 0.3, 1.5):
             turn = rng.normal(size=robot.joints) * (rng.random(robot.joints) < rng.choice([0.3, 1.0]))
-            turn *= 1e-4 / max(float(np.abs(turn).sum()), 1e-9)
-            moved = np.linalg.norm(points_of(robot, held, q + turn) - start, axis=1).max()
-            bound = float(reach @ np.abs(turn))
-            assert moved <= bound * (1 + 1e-3)  # the reach itself changes along the turn
-            if bound > 0:
-                tight.append(moved / bound)
-    assert np.median(tight) > 0.4, "a bound this loose would cost most checks"
+            turn *= size / max(float(np.abs(turn).sum()), 1e-9)
+            place(robot.arm, held, q, work)
+            set_motion(robot.arm, held, q - turn, q + turn, 0.5, work)
+            bounds = [*work.margin, *work.group_margin]
+            for share in (-1.0, 0.4, 1.0):
+                ends = points_of(robot, held, q + share * turn)
+                moved = [
+                    float(np.linalg.norm(after - before, axis=1).max())
+                    for (_, before), (_, after) in zip(start, ends, strict=True)
+                ]
+                assert all(m <= bound + 1e-12 for m, bound in zip(moved, bounds, strict=True))
+            if size == 0.05 and bounds[-1] > 1e-6:
+                tight.append(moved[-1] / bounds[-1])
+    assert np.median(tight) > 0.6, "a bound this loose would cost most checks"
+
+
+def test_margins_between_two_frames_bound_what_one_sees_of_the_other(robot: RobotModel) -> None:
+    rng = np.random.default_rng(54)
+    arm = robot.arm
+    for q in random_configurations(robot, 60, rng):
+        held, work, other = a_load(robot, rng), robot.workspace(64), robot.workspace(64)
+        turn = rng.normal(size=robot.joints) * rng.choice([0.01, 0.1])
+        place(arm, held, q, work)
+        set_motion(arm, held, q - turn, q + turn, 0.5, work)
+        place(arm, held, q + turn, other)
+        for a, b in arm.self_pairs:
+            f, g = int(arm.body_frame[a]), int(arm.body_frame[b])
+            before, after = (w.R[f].T @ (w.body[b] - w.p[f]) for w in (work, other))
+            x, y, z = work.body[b].tolist()
+            bound = motion_of_ball(work, g, f, x, y, z, float(arm.body_radius[b]))
+            assert np.linalg.norm(after - before) <= bound + 1e-12
+
+
+def test_a_motion_that_is_free_is_free_at_all_its_configurations(robot: RobotModel) -> None:
+    rng = np.random.default_rng(55)
+    proved = 0
+    for _ in range(30):
+        world = world_around(robot, 14, rng)
+        held, work = a_load(robot, rng), robot.workspace(64)
+        present = np.ones(15, dtype=np.uint8)
+        for q in random_configurations(robot, 25, rng):
+            turn = rng.normal(size=robot.joints) * rng.choice([0.005, 0.02, 0.05])
+            place(robot.arm, held, q, work)
+            if set_motion(robot.arm, held, q - turn, q + turn, 0.5, work) > LARGEST_MARGIN:
+                continue
+            if placed(robot.arm, held, world, present, 0.001, work) != FREE:
+                continue
+            proved += 1
+            for share in rng.uniform(-1, 1, 12):
+                assert check(robot.arm, held, world, present, 0.001, q + share * turn, work) == FREE
+    assert proved > 100
 
 
 def test_grid_gives_what_a_full_list_gives(robot: RobotModel) -> None:

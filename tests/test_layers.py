@@ -31,12 +31,12 @@ motion
 removal
 problem
 search
-guide
 messages
 schemas
 documents
 serialization
 files
+guide
 run*
 planning
 verification*

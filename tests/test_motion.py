@@ -15,18 +15,20 @@ from ssik.prebuilt import franka_panda_ik
 
 from conftest import random_box, random_configurations, random_rotation, scene_of, world_around, world_of
 from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import (
-    Scene,
-    is_free,
+    bisection,
     joint_edge_free,
-    lift_rows,
-    path_blockers,
     project_to_point,
+    resampled,
     tool_edge,
     tool_positions,
+    waypoints,
 )
+from takeapart.motion.lifts import lift_rows
 from takeapart.motion.rrt import next_random, rrt_connect
-from takeapart.motion.smooth import dense, shorten
+from takeapart.motion.scene import Scene, is_free
+from takeapart.motion.smooth import shorten
 from takeapart.robot.arrays import Flags, HeldArrays
 from takeapart.robot.kernels import FREE, check, collect
 from takeapart.robot.model import RobotModel
@@ -87,7 +89,7 @@ def test_accepted_joint_edges_are_free_at_dense_samples(robot: RobotModel) -> No
             b = a + rng.normal(size=robot.joints) * rng.choice([0.03, 0.1, 0.25])
             b = np.clip(b, robot.arm.lower, robot.arm.upper)
             rows = np.array([a, b])
-            if joint_edge_free(scene, a, b, STEP, np.empty(robot.joints)):
+            if joint_edge_free(scene, a, b):
                 accepted += 1
                 for q in sampled(rows, 0.002):
                     assert not touches(scene, q, PADDING - STEP / 2), (a.tolist(), b.tolist())
@@ -106,7 +108,7 @@ def test_long_joint_edges_are_free_at_dense_samples(robot: RobotModel) -> None:
         configurations = free_configurations(scene, robot, 20, rng)
         for a, b in zip(configurations[::2], configurations[1::2], strict=True):
             b = a + (b - a) * min(1.0, float(rng.uniform(0.3, 1.5)) / float(np.linalg.norm(b - a)))
-            if joint_edge_free(scene, a, b, STEP, np.empty(robot.joints)):
+            if joint_edge_free(scene, a, b):
                 accepted += 1
                 for q in sampled(np.array([a, b]), 0.002):
                     assert not touches(scene, q, PADDING - STEP / 2), (a.tolist(), b.tolist())
@@ -119,7 +121,7 @@ def straight_edges(robot: RobotModel, scenes: int, seed: int) -> Iterator[tuple[
         for a in free_configurations(scene, robot, 12, rng):
             b = np.clip(a + rng.normal(size=robot.joints) * rng.choice([0.1, 0.3]), robot.arm.lower, robot.arm.upper)
             rows = np.empty((4096, robot.joints))
-            count = tool_edge(scene, a, b, SPACING, STEP, rows)
+            count = tool_edge(scene, a, b, SPACING, rows)
             if count:
                 yield scene, a, b, rows[:count].copy()
 
@@ -159,7 +161,7 @@ def test_tool_edge_refuses_a_wall_in_its_way(robot: RobotModel) -> None:
     rows = np.empty((4096, robot.joints))
     a, b = q.copy(), q.copy()
     a[0], b[0] = -0.5, 0.5
-    count = tool_edge(open_scene, a, b, SPACING, STEP, rows)
+    count = tool_edge(open_scene, a, b, SPACING, rows)
     assert count > 10
     middle = robot.tool_pose(rows[count // 2 - 1])
     wall = np.eye(4)
@@ -168,10 +170,10 @@ def test_tool_edge_refuses_a_wall_in_its_way(robot: RobotModel) -> None:
         robot, held, world_of(robot, [(OrientedBox(wall, np.array([0.05, 0.002, 0.05])), 0)]), 1, 1, PADDING
     )
     assert is_free(walled, a) and is_free(walled, b)
-    assert tool_edge(walled, a, b, SPACING, STEP, rows) == 0
-    assert not joint_edge_free(walled, a, b, STEP, np.empty(robot.joints))
+    assert tool_edge(walled, a, b, SPACING, rows) == 0
+    assert not joint_edge_free(walled, a, b)
     absent = scene_of(robot, held, walled.world, 0, 1, PADDING)
-    assert tool_edge(absent, a, b, SPACING, STEP, rows) == count
+    assert tool_edge(absent, a, b, SPACING, rows) == count
 
 
 def test_project_to_point_moves_the_tool_there_and_no_farther_than_needed(robot: RobotModel) -> None:
@@ -205,7 +207,7 @@ def near_path(scene: Scene, robot: RobotModel, rng: np.random.Generator) -> Arra
     """(M, n) rad: a joint path with rows as near as those of a removal."""
     a = random_configurations(robot, 1, rng)[0]
     b = np.clip(a + rng.normal(size=robot.joints) * 0.25, robot.arm.lower, robot.arm.upper)
-    return np.asarray(dense(scene, np.array([a, b]), SPACING))
+    return np.asarray(resampled(scene, np.array([a, b]), SPACING, False))
 
 
 def test_path_blockers_mark_all_that_dense_samples_hit_and_nothing_that_is_clear(robot: RobotModel) -> None:
@@ -214,7 +216,7 @@ def test_path_blockers_mark_all_that_dense_samples_hit_and_nothing_that_is_clear
         for _ in range(2):
             rows = near_path(scene, robot, rng)
             hits = np.zeros(BOXES + 1, dtype=np.uint8)
-            if not path_blockers(scene, rows, STEP, hits):
+            if not path_blockers(scene, rows, hits):
                 assert owners_hit(scene, rows, PADDING + 0.6 * STEP, 0.002)[1], (
                     "refused though the arm is clear of itself"
                 )
@@ -238,8 +240,8 @@ def test_path_blockers_refuse_what_never_leaves(robot: RobotModel) -> None:
         fixed = scene._replace(world=scene.world._replace(owner=owner))
         rows = near_path(scene, robot, rng)
         hits, fixed_hits = np.zeros(BOXES + 1, dtype=np.uint8), np.zeros(BOXES + 1, dtype=np.uint8)
-        if path_blockers(scene, rows, STEP, hits):
-            assert path_blockers(fixed, rows, STEP, fixed_hits) == (not hits.any())
+        if path_blockers(scene, rows, hits):
+            assert path_blockers(fixed, rows, fixed_hits) == (not hits.any())
             refused += bool(hits.any())
     assert refused > 5
 
@@ -288,7 +290,7 @@ def test_rrt_connect_joins_a_start_to_a_goal_by_free_edges(robot: RobotModel) ->
     for scene, rng in random_scenes(robot, 15, 10):
         ends = free_configurations(scene, robot, 6, rng)
         starts, goals = ends[:3], ends[3:]
-        corners = rrt_connect(scene, starts, goals, 600, 0.4, STEP, 1)
+        corners = rrt_connect(scene, starts, goals, 600, 0.4, 1)
         if not len(corners):
             continue
         solved += 1
@@ -296,7 +298,7 @@ def test_rrt_connect_joins_a_start_to_a_goal_by_free_edges(robot: RobotModel) ->
         assert any(np.array_equal(corners[-1], goal) for goal in goals)
         assert (corners >= robot.arm.lower).all() and (corners <= robot.arm.upper).all()
         assert not any(touches(scene, q, PADDING - STEP / 2) for q in sampled(corners, 0.004))
-        np.testing.assert_array_equal(corners, rrt_connect(scene, starts, goals, 600, 0.4, STEP, 1))
+        np.testing.assert_array_equal(corners, rrt_connect(scene, starts, goals, 600, 0.4, 1))
     assert solved >= 8
 
 
@@ -312,11 +314,10 @@ def test_rrt_connect_goes_around_a_wall(robot: RobotModel) -> None:
     b = a.copy()
     b[0] = 0.6
     over = np.array([[-0.6, -0.6, 0.0, -1.2, 0.0, 1.571, 0.785], [0.6, -0.6, 0.0, -1.2, 0.0, 1.571, 0.785]])
-    q = np.empty(robot.joints)
-    assert is_free(scene, a) and not joint_edge_free(scene, a, b, STEP, q)
+    assert is_free(scene, a) and not joint_edge_free(scene, a, b)
     known = np.concatenate([a[None], over, b[None]])
     assert not any(touches(scene, q, PADDING) for q in sampled(known, 0.01)), "the known way must be free"
-    solved = [rrt_connect(scene, a[None], b[None], 3000, 0.4, STEP, seed) for seed in range(8)]
+    solved = [rrt_connect(scene, a[None], b[None], 3000, 0.4, seed) for seed in range(8)]
     assert all(len(corners) >= 3 for corners in solved)
     assert len({corners.tobytes() for corners in solved}) > 1, "the seed must matter"
     for corners in solved:
@@ -331,7 +332,7 @@ def test_rrt_connect_gives_up_where_there_is_no_way(robot: RobotModel) -> None:
     T = robot.tool_pose(goal)
     scene = scene_of(robot, robot.held(0.02), world_of(robot, [(OrientedBox(T, np.full(3, 0.05)), 0)]), 1, 1, PADDING)
     assert is_free(scene, q) and not is_free(scene, goal)
-    assert rrt_connect(scene, q[None], goal[None], 200, 0.4, STEP, 1).shape == (0, robot.joints)
+    assert rrt_connect(scene, q[None], goal[None], 200, 0.4, 1).shape == (0, robot.joints)
 
 
 def tool_length(robot: RobotModel, rows: Array) -> float:
@@ -342,11 +343,11 @@ def test_shortening_keeps_ends_and_freedom_and_never_lengthens(robot: RobotModel
     shortened = 0
     for scene, rng in random_scenes(robot, 14, 12):
         ends = free_configurations(scene, robot, 6, rng)
-        corners = rrt_connect(scene, ends[:3], ends[3:], 600, 0.4, STEP, 3)
+        corners = rrt_connect(scene, ends[:3], ends[3:], 600, 0.4, 3)
         if not len(corners):
             continue
-        rows = dense(scene, corners, SPACING)
-        after = shorten(scene, rows, 80, SPACING, STEP, np.inf, 40, 5)
+        rows = waypoints(scene, corners, SPACING)
+        after = shorten(scene, rows, 80, SPACING, np.inf, 40, 5)
         np.testing.assert_array_equal(after[[0, -1]], rows[[0, -1]])
         before_length, length = tool_length(robot, rows), tool_length(robot, after)
         assert length <= before_length + 1e-6
@@ -354,7 +355,7 @@ def test_shortening_keeps_ends_and_freedom_and_never_lengthens(robot: RobotModel
         assert length >= straight - 1e-6
         assert (after >= robot.arm.lower).all() and (after <= robot.arm.upper).all()
         assert not any(touches(scene, q, PADDING - STEP / 2) for q in sampled(after, 0.004))
-        np.testing.assert_array_equal(after, shorten(scene, rows, 80, SPACING, STEP, np.inf, 40, 5))
+        np.testing.assert_array_equal(after, shorten(scene, rows, 80, SPACING, np.inf, 40, 5))
         shortened += length < 0.9 * before_length
     assert shortened >= 5
 
@@ -365,11 +366,32 @@ def test_shortening_in_open_space_reaches_the_straight_line(robot: RobotModel) -
     scene = scene_of(robot, held, far, 1, 1, PADDING)
     home = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
     corners = home + np.array([[-0.4, 0, 0, 0, 0, 0, 0], [-0.1, -0.5, 0, 0.4, 0, 0, 0], [0.4, 0.2, 0, 0.1, 0, 0, 0]])
-    rows = dense(scene, corners, SPACING)
-    after = shorten(scene, rows, 160, SPACING, STEP, np.inf, 48, 1)
+    rows = waypoints(scene, corners, SPACING)
+    after = shorten(scene, rows, 160, SPACING, np.inf, 48, 1)
     straight = float(np.linalg.norm(robot.tool_pose(corners[2])[:3, 3] - robot.tool_pose(corners[0])[:3, 3]))
     assert tool_length(robot, rows) > 1.1 * straight
     assert tool_length(robot, after) == pytest.approx(straight, abs=2e-4)
+
+
+def test_bisection_visits_every_piece_once_and_spreads_out() -> None:
+    for count in (1, 2, 8, 64):
+        order = [bisection(count - 1 - k, count) for k in range(count)]
+        assert sorted(order) == list(range(count))
+    assert {bisection(7 - k, 8) // 4 for k in range(2)} == {0, 1}  # one from each half
+
+
+def test_straightened_rows_shorten_the_tool_path_and_keep_its_corners(robot: RobotModel) -> None:
+    rng = np.random.default_rng(15)
+    gained = 0
+    for scene, _ in random_scenes(robot, 5, 16):
+        base = random_configurations(robot, 1, rng)[0] * 0.5
+        corners = base + 0.08 * rng.normal(size=(3, robot.joints))
+        plain, straight = (resampled(scene, corners, SPACING, straighten) for straighten in (False, True))
+        assert tool_length(robot, straight) <= tool_length(robot, plain) + 1e-9
+        gained += tool_length(robot, straight) < tool_length(robot, plain) - 1e-6
+        for corner in corners:
+            assert np.abs(straight - corner).sum(axis=1).min() < 1e-12
+    assert gained
 
 
 def test_dense_rows_are_near_and_on_the_path(robot: RobotModel) -> None:
@@ -378,7 +400,7 @@ def test_dense_rows_are_near_and_on_the_path(robot: RobotModel) -> None:
         corners = random_configurations(robot, 3, rng) * 0.3 + 0.7 * np.array(
             [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
         )
-        rows = dense(scene, corners, SPACING)
+        rows = resampled(scene, corners, SPACING, False)
         for corner in corners:
             assert np.abs(rows - corner).sum(axis=1).min() < 1e-12
         first, second = corners[1] - corners[0], corners[2] - corners[1]
@@ -390,7 +412,7 @@ def test_dense_rows_are_near_and_on_the_path(robot: RobotModel) -> None:
             assert min(off) < 1e-9
         poses = [robot.tool_pose(q) for q in rows]
         load = [Box((0.04, 0.02, 0.02)).boxes()[0].moved(T).corners() for T in poses]
-        assert np.linalg.norm(np.diff(load, axis=0), axis=2).max() <= 1.2 * SPACING  # the bound holds at a row's start
+        assert np.linalg.norm(np.diff(load, axis=0), axis=2).max() <= SPACING
 
 
 def test_tool_positions_and_their_length(robot: RobotModel) -> None:

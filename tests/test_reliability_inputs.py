@@ -20,6 +20,8 @@ from hypothesis import strategies as st
 
 import example_documents
 import fuzz_readers
+import fuzzed_readers
+from fuzzed_readers import Reader
 from takeapart.errors import InputError, TakeapartError
 from takeapart.files import load_assembly, load_plan, load_workcell
 
@@ -349,7 +351,7 @@ def places(document: Any, here: Path_ = ()) -> list[Path_]:
 
 
 @st.composite
-def mutated(draw: st.DrawFn, document: Any) -> str:
+def mutated(draw: st.DrawFn, document: Any) -> Any:
     """A valid document with one to three places replaced, deleted, doubled or swapped."""
     document = copy.deepcopy(document)
     for _ in range(draw(st.integers(1, 3))):
@@ -373,13 +375,13 @@ def mutated(draw: st.DrawFn, document: Any) -> str:
             document = changed(document, path, draw(values))
         if not places(document):
             break
-    return json.dumps(document)
+    return document
 
 
 @st.composite
-def damaged(draw: st.DrawFn, text: str) -> bytes:
+def damaged(draw: st.DrawFn, example: bytes) -> bytes:
     """The bytes of a valid document, cut, overwritten or with pieces put in."""
-    data = bytearray(text.encode("utf-8", "surrogatepass"))
+    data = bytearray(example)
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(data)))
         length = draw(st.integers(0, 40))
@@ -395,10 +397,10 @@ def damaged(draw: st.DrawFn, text: str) -> bytes:
     return bytes(data)
 
 
-def check_reader(reader: Callable[[Path], object], folder: Path, suffix: str, content: str | bytes) -> None:
+def check_reader(reader: Callable[[Path], object], folder: Path, suffix: str, content: bytes) -> None:
     """Taken or refused with one line; nothing else happens."""
     path = folder / f"input{suffix}"
-    path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
+    path.write_bytes(content)
     before = example_documents.snapshot(folder)
     started = time.process_time()
     try:
@@ -406,45 +408,53 @@ def check_reader(reader: Callable[[Path], object], folder: Path, suffix: str, co
     except TakeapartError as error:
         message = str(error)
         assert message.isprintable()
-        assert message.startswith(str(path))
+        assert message.startswith((f"{path}: ", f"{path.parent}: "))
         assert len(message) < 350 + len(str(path))
         message.encode()
     assert time.process_time() - started < 5
     assert example_documents.snapshot(folder) == before
 
 
-def fuzz(
-    examples: int, reader: Callable[[Path], object], folder: Path, suffix: str, inputs: st.SearchStrategy[Any]
-) -> None:
+def fuzz(examples: int, reader: Reader, kind: str, folder: Path) -> None:
+    strategies = {"data": mutated(reader.document).map(reader.encoded), "noise": st.binary(max_size=200)}
+    inputs = strategies.get(kind, damaged(reader.example))
+
     @settings(max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(inputs)
-    def run(content: str | bytes) -> None:
-        check_reader(reader, folder, suffix, content)
+    def run(content: bytes) -> None:
+        check_reader(reader.load, folder, reader.suffix, content)
 
     run()
 
 
 FUZZED = [
-    pytest.param(load_assembly, ".json", mutated(example_documents.assembly()), id="assembly, data"),
-    pytest.param(load_plan, ".json", mutated(example_documents.plan()), id="plan, data"),
-    pytest.param(load_assembly, ".json", damaged(json.dumps(example_documents.assembly())), id="assembly, bytes"),
-    pytest.param(load_plan, ".json", damaged(json.dumps(example_documents.plan())), id="plan, bytes"),
-    pytest.param(load_workcell, ".toml", damaged(example_documents.WORKCELL), id="workcell, bytes"),
-    pytest.param(load_workcell, ".toml", st.binary(max_size=200), id="workcell, noise"),
+    pytest.param(reader, kind, id=f"{name}, {kind}")
+    for name, reader in fuzzed_readers.READERS.items()
+    for kind in reader.kinds
+    if kind != "lines"
 ]
 
 
-@pytest.mark.parametrize(("reader", "suffix", "inputs"), FUZZED)
-def test_fuzz(tmp_path: Path, reader: Callable[[Path], object], suffix: str, inputs: st.SearchStrategy[Any]) -> None:
-    fuzz(300, reader, tmp_path, suffix, inputs)
+@pytest.mark.parametrize(("reader", "kind"), FUZZED)
+def test_fuzz(tmp_path: Path, reader: Reader, kind: str) -> None:
+    fuzz(200, reader, kind, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("reader", "suffix", "inputs"), FUZZED)
-def test_fuzz_long(
-    tmp_path: Path, reader: Callable[[Path], object], suffix: str, inputs: st.SearchStrategy[Any]
-) -> None:
-    fuzz(int(os.environ.get("TAKEAPART_FUZZ_INPUTS", "3000")), reader, tmp_path, suffix, inputs)
+@pytest.mark.parametrize(("reader", "kind"), FUZZED)
+def test_fuzz_long(tmp_path: Path, reader: Reader, kind: str) -> None:
+    fuzz(int(os.environ.get("TAKEAPART_FUZZ_INPUTS", "2000")), reader, kind, tmp_path)
+
+
+@pytest.mark.parametrize("name", fuzzed_readers.READERS)
+def test_every_example_is_taken(name: str, tmp_path: Path) -> None:
+    """Otherwise a fuzzer would look no further than the first refusal."""
+    reader = fuzzed_readers.READERS[name]
+    path = tmp_path / f"input{reader.suffix}"
+    path.write_bytes(reader.example)
+    assert fuzz_readers.fault_of(reader, path, reader.example) == ("", True)
+    if reader.document is not None:
+        assert fuzz_readers.fault_of(reader, path, reader.encoded(reader.document)) == ("", True)
 
 
 def test_fuzz_without_library_finds_nothing() -> None:

@@ -17,7 +17,7 @@ from takeapart.assembly import Assembly, Part, members
 from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse
 from takeapart.motion.edges import Scene
 from takeapart.removal.goals import super_fibonacci
-from takeapart.removal.grasps import grasp_candidates, grasp_positions, straight_line_bound
+from takeapart.removal.grasps import grasp_candidates, grasp_positions, straight_line_bounds
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
@@ -81,7 +81,7 @@ def test_straight_line_bound_is_up_and_then_straight() -> None:
     start = np.array([1.0 - 0.2 + 0.03, 2.0, 3.0])
     goal = np.array([0.5, -0.4, 2.0])
     expected = 0.05 + math.dist(start + [0, 0, 0.05], goal)
-    assert straight_line_bound(part, grasp, 0.05, goal) == pytest.approx(expected)
+    assert straight_line_bounds(part, [grasp], 0.05, goal)[0] == pytest.approx(expected)
 
 
 # ---- masks and lifting
@@ -196,8 +196,8 @@ def cached_branches(planner: RemovalPlanner) -> list[tuple[int, int]]:
     rng, work = np.random.default_rng(4), planner.robot.workspace(64)
     found = []
     for part in members(planner.assembly.root):
-        numbers = rng.permutation(len(planner.reach.bounds(part)))[:14]
-        found += [(part, int(n)) for n in numbers if planner.reach.branches(part, int(n), work)]
+        numbers = rng.permutation(len(planner.reach.candidates(part)))[:14]
+        found += [(part, int(n)) for n in numbers if planner.reach.branches(part, int(n), 0, work)]
     return found
 
 
@@ -222,8 +222,8 @@ def test_branch_masks_equal_fresh_checks_in_random_states(planner: RemovalPlanne
     valid = invalid = unsure = 0
     for state in random_states(planner.assembly, 500, rng):
         part, number = grasps[int(rng.integers(len(grasps)))]
-        hand = planner.reach.hand(part, number, work)
-        branches = planner.reach.branches(part, number, work)
+        hand = planner.reach.hands(part, work)[number]
+        branches = planner.reach.branches(part, number, 0, work)
         branch = branches[int(rng.integers(len(branches)))]
         others = state & ~(1 << part)
         scene = scene_of(planner.robot, hand.held, planner.world, others, len(planner.assembly.parts), PADDING)
@@ -250,9 +250,9 @@ def test_hand_masks_equal_fresh_checks_in_random_states(planner: RemovalPlanner)
     valid = invalid = 0
     for state in random_states(planner.assembly, 500, rng):
         part = int(rng.choice(parts))
-        number = int(rng.integers(len(planner.reach.bounds(part))))
-        hand = planner.reach.hand(part, number, work)
-        branches = planner.reach.branches(part, number, work)
+        number = int(rng.integers(len(planner.reach.candidates(part))))
+        hand = planner.reach.hands(part, work)[number]
+        branches = planner.reach.branches(part, number, 0, work)
         others = state & ~(1 << part)
         if not branches or hand.blockers is None:
             continue
@@ -320,7 +320,7 @@ def test_removals_hold_what_they_promise(planner: RemovalPlanner, edges: list[Ed
         np.testing.assert_allclose(np.abs(poses[: lifted + 1, 3:] @ poses[0, 3:]), 1.0, atol=1e-9)
         # The part is gripped where it stands: the grasp is one of its candidates.
         T_part_tool = pose_inverse(planner.assembly.parts[edge.part].T_world_part) @ pose(poses[0, :3], poses[0, 3:])
-        away = [np.abs(T_part_tool - g.T_part_tool).max() for _, g in planner.reach.bounds(edge.part)]
+        away = [np.abs(T_part_tool - g.T_part_tool).max() for g in planner.reach.candidates(edge.part)]
         assert min(away) < 1e-5
 
 

@@ -16,8 +16,9 @@ from conftest import random_box, random_configurations, world_of
 from takeapart.errors import InputError
 from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.robot.cover import small_triangles, sphere_cover
+from takeapart.robot.hand import collect_hand, hand_hits_load
 from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.kernels import collect_hand, forward, hand_hits_load
+from takeapart.robot.kinematics import forward
 from takeapart.robot.model import RobotModel, moved_load
 from takeapart.verification_model import place_body, robot_specification
 from takeapart.workcell import Workcell
@@ -104,8 +105,8 @@ def spheres_in_link(robot: RobotModel, workcell: Workcell, link: str) -> tuple[A
     work = robot.workspace()
     forward(robot.arm, q, work)
     body = LINKS.index(link)
-    chosen = slice(robot.arm.body_start[body], robot.arm.body_start[body + 1])
-    frame = robot.arm.body_frame[body]
+    chosen = slice(int(robot.arm.body_start[body]), int(robot.arm.body_start[body + 1]))
+    frame = int(robot.arm.body_frame[body])
     world = robot.arm.sphere_center[chosen] @ work.R[frame].T + work.p[frame]
     T = pose_inverse(body_pose(model, data, link))
     return world @ T[:3, :3].T + T[:3, 3], robot.arm.sphere_radius[chosen]

@@ -35,7 +35,7 @@ from takeapart.verification import (
     states_of,
     verify_plan,
 )
-from takeapart.verification_checks import straight_line_bound, unsupported
+from takeapart.verification_checks import carriers, straight_line_bound, unsupported
 from takeapart.verification_model import Scene, mujoco
 from takeapart.verification_replay import Replay
 from takeapart.workcell import Obstacle, Workcell
@@ -464,12 +464,16 @@ def test_connector_rule_agrees_with_the_planners_on_profile_assemblies() -> None
     seen: Counter[bool] = Counter()
     for assembly in assemblies:
         rule = ConnectorStability(assembly)
+        part_of = {part.name: part for part in assembly.parts}
         for _ in range(50):
             state = assembly.root
             for i in rng.permutation(members(state))[: int(rng.integers(6))]:
                 state &= ~(1 << int(i))
             expected = all(rule.needs(i) & ~state == 0 for i in members(state))
-            assert (not unsupported(assembly, state)) == expected
+            by_connectors = [
+                (part, host) for part, host in unsupported(assembly, state) if carriers(assembly, part_of[part])
+            ]
+            assert (not by_connectors) == expected
             seen[expected] += 1
     assert len(assemblies) == 10 and min(seen[True], seen[False]) > 50
 
@@ -575,7 +579,7 @@ def test_plans_on_disk_pass(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="open: a narrow beam may find no plan")
+@pytest.mark.timeout(3600)  # five minutes of processor time, on a machine that may have other work
 def test_plans_of_all_searches_pass_on_two_shipped_assemblies(tmp_path: Path) -> None:
     """`make verify-all` in small; the second call does nothing again and finds the same."""
     assert verify_all.main(["--quick", "--out", str(tmp_path)]) == 0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,13 +29,16 @@ from takeapart.cli_output import (
     seed_option,
     workcell_option,
 )
+from takeapart.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from takeapart.assembly import Assembly
     from takeapart.plan import Plan
-    from takeapart.planning import Infeasible, PlanningOptions
+    from takeapart.planning import Infeasible, PlanningOptions, Recorder
+    from takeapart.problem import Guide
     from takeapart.workcell import Workcell
 
+GUIDED, RECORDED = ("exact", "mcts", "beam"), ("exact", "mcts")
 SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapart.planning.SEARCHES, without its imports
 
 
@@ -100,6 +106,19 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     help="Keep all that is planned in this directory at once. Given again, the same command continues a run that was "
     "killed or stopped, and ends with the same plan.",
 )
+@click.option(
+    "--guide",
+    type=FILE,
+    metavar="FILE|default",
+    help="exact, mcts, beam. Weights written by `takeapart train`, or the guide that comes with the package; it says "
+    "which part to try first.",
+)
+@click.option(
+    "--experience",
+    type=FILE,
+    metavar="DIR",
+    help="exact, mcts. Add all that the search sees to this folder, for `takeapart train`.",
+)
 @json_option
 def plan(
     assembly: Path,
@@ -115,6 +134,8 @@ def plan(
     refine: int | None,
     out: Path | None,
     run: Path | None,
+    guide: Path | None,
+    experience: Path | None,
     as_json: bool,
 ) -> None:
     """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
@@ -131,11 +152,17 @@ def plan(
         raise click.UsageError(f"--workers goes with --search exact only, not with {search}")
     if refine is not None and search != "exact":
         raise click.UsageError(f"--refine goes with --search exact only, not with {search}")
+    if guide is not None and search not in GUIDED:
+        raise click.UsageError(f"--guide goes with --search {', '.join(GUIDED)} only, not with {search}")
+    if experience is not None and search not in RECORDED:
+        raise click.UsageError(f"--experience goes with --search {', '.join(RECORDED)} only, not with {search}")
     out = out or Path(f"{assembly.stem}.plan.json")
     product, cell = load_assembly(assembly), load_workcell(workcell)
     require_output(out, assembly, Path(workcell))
     options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1, refine)
-    made, interrupted = make_plan(product, cell, options, run)
+    advice = loaded_guide(guide, product)
+    with recorder(experience, product, options) as record:
+        made, interrupted = make_plan(product, cell, options, run, advice, record)
     saved = save_or_explain(made, interrupted, out, as_json)
     if as_json:
         print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
@@ -173,13 +200,52 @@ def options_of(
     )
 
 
+def loaded_guide(guide: Path | None, assembly: Assembly) -> Guide | None:
+    """The guide in a file, or the shipped one.
+
+    Raises:
+        InputError: the file is missing or broken.
+    """
+    if guide is None:
+        return None
+    from takeapart.guide.policy import load_guide
+
+    return load_guide(guide, assembly)
+
+
+@contextmanager
+def recorder(folder: Path | None, assembly: Assembly, options: PlanningOptions) -> Iterator[Recorder | None]:
+    """Where a search tells what it sees; None without a folder.
+
+    Raises:
+        InputError: the folder cannot be written.
+        MissingExtraError: the library that writes it is not installed.
+    """
+    if folder is None:
+        yield None
+        return
+    if importlib.util.find_spec("polars") is None:
+        raise MissingExtraError("takeapart plan --experience", "guide", "polars")
+    from takeapart.guide.experience import ExperienceWriter
+
+    with ExperienceWriter(folder, assembly, seed=options.seed, search=options.search) as writer:
+        yield writer
+
+
 def make_plan(
-    assembly: Assembly, workcell: Workcell, options: PlanningOptions, run: Path | None = None
+    assembly: Assembly,
+    workcell: Workcell,
+    options: PlanningOptions,
+    run: Path | None = None,
+    guide: Guide | None = None,
+    record: Recorder | None = None,
 ) -> tuple[Plan | Infeasible, bool]:
     """Plans with a progress bar, after the kernels are compiled.
 
     Args:
         run: directory of a run that is started or continued; by default nothing is kept before the end.
+        guide: ranks the parts.
+        record: is told what the search sees.
 
     Returns:
         the plan or why there is none, and whether Ctrl-C ended the search.
@@ -198,9 +264,9 @@ def make_plan(
         with progress_bar(title) as update:
             problem = build_problem(assembly, workcell, options)
             started = time.monotonic()
-            result = search(problem, options, listen=search_listener(update, options.budget))
+            result = search(problem, options, guide, search_listener(update, options.budget), record)
             return plan_of(problem, result, options, time.monotonic() - started), result.interrupted
-    identity = run_identity(assembly, workcell, options)
+    identity = run_identity(assembly, workcell, options, guide)
     known = finished_plan(run, identity)
     if known is not None:
         note(f"the run in {run} has ended; this is its plan")
@@ -210,7 +276,8 @@ def make_plan(
             note(f"continuing the run in {run}, which has {opened.journal.answers} answers of the planner")
         compile_first(workcell)
         with progress_bar(title) as update:
-            return plan_in_run(opened, assembly, workcell, options, listen=search_listener(update, options.budget))
+            listen = search_listener(update, options.budget)
+            return plan_in_run(opened, assembly, workcell, options, guide, listen, record)
 
 
 def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:

@@ -95,7 +95,12 @@ def _check_extent(text: str, where: str) -> None:
         raise InputError(f"holds more than {MAXIMUM_VALUES} values", where)
 
 
-def _read_text(path: str | os.PathLike[str], maximum_bytes: int) -> str:
+def read_bytes(path: str | os.PathLike[str], maximum_bytes: int) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        InputError: the file cannot be read, is empty, or is larger than `maximum_bytes`.
+    """
     where = shown(path)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer must not wait
@@ -117,6 +122,11 @@ def _read_text(path: str | os.PathLike[str], maximum_bytes: int) -> str:
         raise InputError(f"is larger than {maximum_bytes / 2**20:g} MiB, the most that is read", where)
     if not content.strip():
         raise InputError("the file is empty", where)
+    return content
+
+
+def _read_text(path: str | os.PathLike[str], maximum_bytes: int) -> str:
+    where, content = shown(path), read_bytes(path, maximum_bytes)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import importlib.metadata
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, cast, get_args
+from typing import Literal, Protocol, cast, get_args
 
 import numpy as np
 
@@ -15,7 +18,7 @@ import takeapart
 from takeapart.assembly import Assembly
 from takeapart.errors import UnknownNameError
 from takeapart.plan import Plan, PlanStep
-from takeapart.problem import AssemblyProblem, Guide
+from takeapart.problem import AssemblyProblem, Guide, Problem
 from takeapart.removal.journal import QueryJournal
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Removal, Stage
@@ -29,8 +32,8 @@ from takeapart.search.baselines import (
     random_order,
     random_restarts,
 )
-from takeapart.search.exact import ExactOptions, exact
-from takeapart.search.mcts import MctsOptions, mcts
+from takeapart.search.exact import ExactOptions, SettledObserver, exact
+from takeapart.search.mcts import MctsOptions, TransitionObserver, mcts
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.stability import ConnectorStability, require_support
@@ -68,6 +71,20 @@ class PlanningOptions:
     def __post_init__(self) -> None:
         if self.search not in SEARCHES:
             raise UnknownNameError("search", self.search, list(SEARCHES))
+
+
+class Recorder(Protocol):
+    """Takes what a search sees; `takeapart.guide.experience.ExperienceWriter` is one."""
+
+    @property
+    def observe(self) -> TransitionObserver:
+        """For every removal that a query returned."""
+        ...
+
+    @property
+    def observe_settled(self) -> SettledObserver:
+        """For the removals of which exact search knows the cost to the goal."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -124,6 +141,7 @@ def plan(
     guide: Guide | None = None,
     listen: ProgressListener | None = None,
     run: Path | None = None,
+    record: Recorder | None = None,
 ) -> Plan | Infeasible:
     """Plans the disassembly of an assembly in a workcell.
 
@@ -135,6 +153,7 @@ def plan(
         listen: is told about progress.
         run: a directory in which all that is planned is kept at once; with it, a call that was cut off, however that
             happened, is continued by the same call, and the plan is the same. See `takeapart.run`.
+        record: is told what "exact" and "mcts" see, for learning a guide; other searches tell nothing.
 
     Returns:
         The shortest plan found within the budget (also after Ctrl-C), or why there is none.
@@ -147,7 +166,7 @@ def plan(
     if run is None:
         problem = build_problem(assembly, workcell, options)
         started = time.monotonic()
-        result = search(problem, options, guide, listen)
+        result = search(problem, options, guide, listen, record)
         return plan_of(problem, result, options, time.monotonic() - started)
     require_support(assembly)
     identity = run_identity(assembly, workcell, options, guide)
@@ -155,7 +174,7 @@ def plan(
     if known is not None:
         return known
     with open_run(run, identity) as opened:
-        return plan_in_run(opened, assembly, workcell, options, guide, listen)[0]
+        return plan_in_run(opened, assembly, workcell, options, guide, listen, record)[0]
 
 
 def plan_in_run(
@@ -165,6 +184,7 @@ def plan_in_run(
     options: PlanningOptions,
     guide: Guide | None = None,
     listen: ProgressListener | None = None,
+    record: Recorder | None = None,
 ) -> tuple[Plan | Infeasible, bool]:
     """Searches from where a run was cut off, and keeps the plan in it once the search has ended by itself.
 
@@ -177,9 +197,8 @@ def plan_in_run(
     problem = build_problem(assembly, workcell, options, run.journal)
     run.journal.start()
     # `RunBudget` has the attributes of `Budget`; its seconds change while answers are recalled.
-    result = search(
-        problem, replace(options, budget=cast(Budget, RunBudget(options.budget, run.journal))), guide, listen
-    )
+    budget = cast(Budget, RunBudget(options.budget, run.journal))
+    result = search(problem, replace(options, budget=budget), guide, listen, record)
     made = plan_of(problem, result, options, run.journal.seconds)
     if isinstance(made, Plan) and not result.interrupted:
         run.finish(made)
@@ -189,7 +208,10 @@ def plan_in_run(
 def run_identity(
     assembly: Assembly, workcell: Workcell, options: PlanningOptions, guide: Guide | None = None
 ) -> Identity:
-    """All that shapes a plan, as the description of a run holds it. The number of threads shapes nothing."""
+    """All that shapes a plan, as the description of a run holds it. The number of threads shapes nothing.
+
+    The sources are part of it: while they are worked on, the version stays the same, but the answers do not.
+    """
     described = asdict(options)
     del described["seed"], described["exact"]["workers"]
     return {
@@ -197,8 +219,9 @@ def run_identity(
         "workcell": {"name": workcell.name, "hash": workcell_hash(workcell)},
         "seed": options.seed,
         "options": described,
-        "guide": guide is not None,
+        "guide": guide is not None and getattr(guide, "hash", True),
         "versions": versions(),
+        "sources": sources_digest(),
     }
 
 
@@ -227,13 +250,17 @@ def search(
     options: PlanningOptions,
     guide: Guide | None = None,
     listen: ProgressListener | None = None,
+    record: Recorder | None = None,
 ) -> SearchResult:
     """Runs the search that the options name."""
     rng = np.random.default_rng([options.seed, 1])
+    observe = record.observe if record is not None else None
+    guide = of_candidates(guide, problem) if guide is not None else None
     if options.search == "exact":
-        return exact(problem, options.exact, options.budget, listen, guide)
+        observe_settled = record.observe_settled if record is not None else None
+        return exact(problem, options.exact, options.budget, listen, guide, observe, observe_settled)
     if options.search == "mcts":
-        return mcts(problem, options.mcts, options.budget, rng, guide, listen)
+        return mcts(problem, options.mcts, options.budget, rng, guide, listen, observe)
     if options.search == "beam":
         return beam(problem, options.beam, options.budget, rng, listen, guide=guide)
     if options.search == "greedy":
@@ -241,6 +268,19 @@ def search(
     if options.search == "restarts":
         return random_restarts(problem, options.restarts, options.budget, rng, listen)
     return random_order(problem, options.order, options.budget, rng, listen)
+
+
+def of_candidates(guide: Guide, problem: Problem) -> Guide:
+    """The guide without its values for parts that cannot leave: searches look at the best value of a state."""
+
+    def restricted(states: Sequence[int]) -> list[dict[int, float]]:
+        values = guide(states)
+        return [
+            {part: of_state[part] for part in problem.candidates(state)}
+            for state, of_state in zip(states, values, strict=True)
+        ]
+
+    return restricted
 
 
 def plan_of(
@@ -296,6 +336,17 @@ def explain(problem: AssemblyProblem, state: int, refusals: tuple[Blocked, ...] 
 def versions() -> dict[str, str]:
     """Versions of the package and of the libraries that shape a plan."""
     return {"takeapart": takeapart.__version__} | {name: importlib.metadata.version(name) for name in SHAPING_PACKAGES}
+
+
+@functools.cache
+def sources_digest() -> str:
+    """Digest of all sources of the package, as this process found them first."""
+    package = Path(takeapart.__file__).parent
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        content = source.read_bytes()
+        digest.update(f"{source.relative_to(package)} {len(content)}:".encode() + content)
+    return digest.hexdigest()
 
 
 def _step(assembly: Assembly, removal: Removal) -> PlanStep:

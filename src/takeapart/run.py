@@ -1,6 +1,6 @@
 """A run directory: what a plan is made for, and all that was planned for it so far.
 
-    run.json         assembly, workcell, options, seed and versions; written once
+    run.json         assembly, workcell, options, seed, versions and sources; written once
     journal.sqlite   every answer of the removal planner, see `run_journal`
     plan.json        the plan, once the search has ended
     lock             held by the process that works on the run; the system lets go of it however that process ends
@@ -35,7 +35,7 @@ RUN, JOURNAL, PLAN, LOCK = "run.json", "journal.sqlite", "plan.json", "lock"
 SHOWN_DIFFERENCES = 3
 
 Identity = dict[str, object]
-"""What a run is for, as JSON holds it: "assembly", "workcell", "options", "seed", "versions"."""
+"""What a run is for, as JSON holds it: "assembly", "workcell", "options", "seed", "versions", "sources"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ def _require_same(path: Path, identity: Identity) -> None:
     if before.get("format") != FORMAT or before.get("version") != VERSION:
         raise InputError(f"is no description of a run; must be of format {FORMAT!r}, version {VERSION}", shown(path))
     differences = [
-        f"{key} was {_told(before, key)}, now {_told(now, key)}"
+        f"{_named(key)} was {_told(before, key)}, now {_told(now, key)}"
         for key in dict.fromkeys([*now, *before])
         if key not in before or key not in now or before[key] != now[key]
     ]
@@ -161,6 +161,10 @@ def _flat(value: object, prefix: str = "") -> dict[str, object]:
     for key, child in value.items():
         found |= _flat(child, f"{prefix}.{key}" if prefix else str(key))
     return found
+
+
+def _named(key: str) -> str:
+    return key if key.isprintable() and len(key) <= 60 else shortened(key)
 
 
 def _told(values: dict[str, object], key: str) -> str:

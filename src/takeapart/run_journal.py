@@ -160,7 +160,11 @@ def _count_answers(path: Path, identity: str) -> int:
     where = shown(path)
     if not path.is_file():
         raise InputError("is missing, so the run cannot be continued; start anew in another folder", where)
-    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
+    log = path.with_name(f"{path.name}-wal")
+    # Without a log, nothing but the file counts; then SQLite need not make a log and an index of it, which stay
+    # where the file is damaged.
+    alone = "" if log.exists() and log.stat().st_size else "&immutable=1"
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{alone}", uri=True)) as connection:
         found = [connection.execute(f"PRAGMA {name}").fetchone() for name in ("application_id", "user_version")]
         if found != [(APPLICATION,), (VERSION,)]:
             raise InputError(f"is no journal of a run, version {VERSION}; it was left as it is", where)
@@ -186,6 +190,8 @@ def _told(path: Path) -> Iterator[None]:
     where = shown(path)
     try:
         yield
+    except UnicodeDecodeError:
+        raise _damaged(where) from None
     except sqlite3.Error as error:
         name = getattr(error, "sqlite_errorname", "")
         if name in ("SQLITE_NOTADB", "SQLITE_ERROR") or name.startswith("SQLITE_CORRUPT"):

@@ -20,6 +20,7 @@ from takeapart.verification_checks import (
     check_bound,
     check_grasp,
     check_hashes,
+    check_heading,
     check_length,
     check_order,
     check_schema,
@@ -127,7 +128,8 @@ class Verifier:
         assembly, workcell, options = self.assembly, self.workcell, self.options
         if plan.direction == "assembly":
             plan = plan.inverted()
-        findings = [*check_hashes(plan, self.hashes), *check_order(plan, assembly)]
+        names = {"assembly": assembly.name, "workcell": workcell.name}
+        findings = [*check_heading(plan), *check_hashes(plan, self.hashes, names), *check_order(plan, assembly)]
         findings += self.replay.check_placement()
         results: list[StepResult] = []
         state = assembly.root
@@ -145,7 +147,7 @@ class Verifier:
                     results.append(self._step(step, k, state))
                     findings += results[-1].findings
                 state &= ~(1 << number)
-        if not any(finding.check == "schema" for finding in findings):
+        if not any(finding.check == "schema" and finding.step is not None for finding in findings):
             findings += check_total(plan, options)
         findings += check_bound(plan, assembly, workcell, options)
         findings += check_stability(plan, assembly)

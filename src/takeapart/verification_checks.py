@@ -6,6 +6,7 @@ that an error in the planner's versions is seen.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 
@@ -18,12 +19,30 @@ from takeapart.verification_report import Finding, VerificationOptions
 from takeapart.workcell import Workcell
 
 ORIGINS = ("assembly", "workcell")
+DIRECTIONS = ("disassembly", "assembly")
+NOTHING_BELOW = "anything to rest on"
 
 
-def check_hashes(plan: Plan, hashes: Mapping[str, str]) -> list[Finding]:
-    """The plan was made for this assembly and this workcell."""
+def check_heading(plan: Plan) -> list[Finding]:
+    """What is said about the plan as a whole can be read: which way it goes, what it cost, when it ends."""
     findings = []
-    for origin in ORIGINS:
+    if plan.direction not in DIRECTIONS:
+        message = f"direction {plan.direction!r}; must be one of {', '.join(DIRECTIONS)}"
+        findings.append(Finding(None, "", None, "schema", message))
+    numbers = {"total_length": plan.total_length, "seconds": plan.seconds, **plan.counts}
+    for name, value in numbers.items():
+        if not (math.isfinite(value) and value >= 0):
+            findings.append(Finding(None, "", None, "schema", f"{name} is {value}; must be finite and not negative"))
+    return findings
+
+
+def check_hashes(plan: Plan, hashes: Mapping[str, str], names: Mapping[str, str]) -> list[Finding]:
+    """The plan was made for this assembly and this workcell, and says so by name too."""
+    findings = []
+    for origin, stated_name in zip(ORIGINS, (plan.assembly, plan.workcell), strict=True):
+        if stated_name != names[origin]:
+            message = f"made for {origin} {stated_name!r}, but this one is {names[origin]!r}"
+            findings.append(Finding(None, "", None, "hash", message))
         if origin in hashes and plan.hashes.get(origin) != hashes[origin]:
             stated = plan.hashes.get(origin)
             message = f"made for another {origin}: hash {stated!r}, but this one has {hashes[origin]!r}"
@@ -185,8 +204,8 @@ def check_bound(plan: Plan, assembly: Assembly, workcell: Workcell, options: Ver
     return findings
 
 
-def needs(assembly: Assembly, part: Part) -> set[str]:
-    """Names of the parts that must stay as long as `part` does: the hosts of all its connectors, but of a part that
+def carriers(assembly: Assembly, part: Part) -> set[str]:
+    """Names of the hosts that must stay as long as `part` does: those of all its connectors, but of a part that
     stands upright only the one below (design, section 5)."""
     box = part.shape.bounding_box().moved(part.T_world_part)
     long_axis = box.T_frame_box[:3, int(np.argmax(box.half_extents))]
@@ -203,22 +222,62 @@ def needs(assembly: Assembly, part: Part) -> set[str]:
     return hosts
 
 
+def underneath(assembly: Assembly, number: int, touching: float) -> set[str]:
+    """Names of the parts that a part lies on: somewhere one of their boxes is right below one of its own, by the
+    extents of both along the world's axes, and at most `touching`, m, away."""
+    lower, upper = _extents(assembly, number)
+    found = set()
+    for i, other in enumerate(assembly.parts):
+        if i == number:
+            continue
+        low, high = _extents(assembly, i)
+        over = (lower[:, None, :2] < high[None, :, :2]).all(axis=2) & (upper[:, None, :2] > low[None, :, :2]).all(
+            axis=2
+        )
+        near = np.abs(lower[:, None, 2] - high[None, :, 2]) <= touching
+        if (over & near).any():
+            found.add(other.name)
+    return found
+
+
+def _extents(assembly: Assembly, number: int) -> tuple[Array, Array]:
+    """Least and greatest world coordinates (B, 3), m, of the boxes of a part, its connectors included."""
+    T_world_part = assembly.parts[number].T_world_part
+    corners = np.array([box.moved(T_world_part).corners() for box in assembly.body(number)])
+    return corners.min(axis=1), corners.max(axis=1)
+
+
+@functools.lru_cache(maxsize=8)
+def needs(assembly: Assembly) -> dict[str, frozenset[str]]:
+    """Per removable part the names of those that must stay as long as it does: what carries it by connectors or, where
+    no connector does, all that it lies on. A part that lies on nothing needs what no state has."""
+    touching = VerificationOptions().touching
+    return {
+        part.name: frozenset(carriers(assembly, part) or underneath(assembly, i, touching) or {NOTHING_BELOW})
+        for i, part in enumerate(assembly.parts)
+        if not part.fixed
+    }
+
+
 def unsupported(assembly: Assembly, state: int) -> list[tuple[str, str]]:
     """Pairs (part, missing support) of the removable parts in a state."""
     present = {part.name for i, part in enumerate(assembly.parts) if part.fixed or state >> i & 1}
     return [
-        (part.name, host)
-        for part in assembly.parts
-        if not part.fixed and part.name in present
-        for host in sorted(needs(assembly, part) - present)
+        (name, support)
+        for name, needed in needs(assembly).items()
+        if name in present
+        for support in sorted(needed - present)
     ]
 
 
 def check_stability(plan: Plan, assembly: Assembly) -> list[Finding]:
-    """After every step each part that is left still has what it rests on."""
-    findings = []
+    """In the beginning and after every step each part that is there has what it rests on."""
     state = assembly.root
-    reported = set(unsupported(assembly, state))  # an assembly that never stood is not the plan's fault
+    reported = set(unsupported(assembly, state))
+    findings = [
+        Finding(None, "", None, "stability", f"part {part!r} stands without {support!r} before anything moves")
+        for part, support in sorted(reported)
+    ]
     for k, step in enumerate(plan.steps):
         if step.part not in assembly.index:
             continue

@@ -7,8 +7,10 @@ part in collisions. Nothing here is shared with the planner's kinematics or coll
 
 from __future__ import annotations
 
+import itertools
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,9 @@ try:
     import mujoco as mujoco  # verification_physics takes it from here
 except ImportError as missing:
     raise MissingExtraError("verification", "verify", "mujoco") from missing
+
+# MuJoCo counts its warnings, and the verifier reads the counts; it shall not print them and write them to a file too.
+mujoco.set_mju_user_warning(lambda message: None)
 
 # (contype, conaffinity): MuJoCo tests two geoms if a bit of one's contype is in the other's conaffinity: meshes of the
 # robot against everything. Two boxes are never left to it (held part or fingers against what stands, `near_boxes`):
@@ -187,6 +192,16 @@ class Scene:
         R = self.data.xmat[self._hand].reshape(3, 3).copy()
         return self.data.xpos[self._hand] + R @ np.array(self.description.T_hand_tool), R
 
+    def corners_in_tool(self, geoms: Sequence[int]) -> Array:
+        """Corners (8 k, 3), m, of the boxes around geoms, in the tool frame."""
+        numbers = np.array(geoms, dtype=np.intp)
+        middle, half = self.model.geom_aabb[numbers, None, :3], self.model.geom_aabb[numbers, None, 3:]
+        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        R_world_geom = self.data.geom_xmat[numbers].reshape(-1, 3, 3)
+        corners = np.einsum("kij,kcj->kci", R_world_geom, middle + signs * half) + self.data.geom_xpos[numbers, None]
+        position, R_world_tool = self.tool()
+        return np.asarray((corners.reshape(-1, 3) - position) @ R_world_tool)
+
     def near(self) -> tuple[NDArray[np.intp], Array]:
         """Pairs of geoms (k, 2) that stand closer than the sight, with their distance (k,), m: exact between two boxes.
 
@@ -199,6 +214,11 @@ class Scene:
             pairs = np.concatenate([self.data.contact.geom.astype(np.intp), pairs])
             distances = np.concatenate([self.data.contact.dist, distances])
         return pairs, distances
+
+    @property
+    def overflowed(self) -> bool:
+        """Whether MuJoCo ever ran out of memory for contacts: then `near` has left some out."""
+        return bool(self.data.warning[mujoco.mjtWarning.mjWARN_CONTACTFULL].number)
 
     def near_boxes(self) -> tuple[NDArray[np.intp], Array]:
         """As `near`, of the boxes of the held part and the fingers against those that stand: first by their extents

@@ -16,6 +16,13 @@ from takeapart.verification_report import Finding, VerificationOptions
 
 TIMESTEP = 0.002  # s
 CONTACT_BITS = (1, 1)
+BREAKDOWNS = (  # MuJoCo's warnings after which a state means nothing: it starts anew, or leaves contacts out
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_CONTACTFULL,
+    mujoco.mjtWarning.mjWARN_CNSTRFULL,
+)
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,13 @@ def stand_under_gravity(
         tilt = np.maximum(tilt, _tilts(start_R, data.xquat[free]))
         if shift.max() > 2 * options.physics_shift:
             break  # it falls; how far does not matter
-    findings = []
+        if any(data.warning[warning].number for warning in BREAKDOWNS):
+            break
+    findings = [
+        Finding(None, "", None, "physics", f"the simulation broke down: {_name(warning)}")
+        for warning in BREAKDOWNS
+        if data.warning[warning].number
+    ]
     for body, moved, turned in zip(free, shift, tilt, strict=True):
         if moved > options.physics_shift or turned > options.physics_tilt:
             name = str(model.body(body).name)
@@ -129,6 +142,10 @@ def compare_stability(
         if physics and not rule:
             only_physics.append(state)
     return StabilityComparison(both_stand, both_fall, tuple(only_rule), tuple(only_physics))
+
+
+def _name(warning: mujoco.mjtWarning) -> str:
+    return str(warning.name).removeprefix("mjWARN_")
 
 
 def _tilts(start: Array, quaternions: Array) -> Array:

@@ -76,6 +76,7 @@ class Replay:
             *check_joint_limits(step, k, scene.joint_limits),
             *check_jumps(step, k, positions, options),
             *check_tool_path(step, k, position_errors, angle_errors, options),
+            *check_true_length(step, k, positions, options),
             *check_start(step, k, T_world_grasp, positions[0], rotations[0], options),
             *check_lift(step, k, samples, self.workcell.lift_height, options),
             *check_goal(step, k, positions[-1], self.workcell.goal, options),
@@ -102,19 +103,21 @@ class Replay:
         return positions, rotations
 
     def _samples(self, step: PlanStep, number: int, positions: Array, rotations: Array) -> Samples:
-        """Interpolates between rows so that tool and corners of the held part move at most `tool_step` at a time.
+        """Interpolates between rows so that the tool, and the corners of the held part, the fingers, the hand and the
+        link that carries it, move at most `tool_step` at a time.
 
         Between rows the arm moves on arcs: the first pass aims a little finer than allowed, later ones refine wherever
         it still moves too far (rows that are close in space with a detour in between)."""
         scene, options = self.scene, self.options
-        offset = scene.model.body_pos[scene.held_bodies[number]] - scene.description.T_hand_tool
-        R_tool_part = rotation_from_quaternion(scene.model.body_quat[scene.held_bodies[number]])
-        corners = np.vstack([box.corners() for box in self.assembly.body(number)]) @ R_tool_part.T + offset
-        points = np.vstack([np.zeros(3), corners])  # (P, 3) m, tool frame
+        carried = [
+            *scene.geoms(scene.held_bodies[number]),
+            *(g for link in rigid_links(scene) for g in scene.geoms(link)),
+        ]
+        points = np.vstack([np.zeros(3), scene.corners_in_tool(carried)])  # (P, 3) m, tool frame
         rows = np.asarray(step.joint_path, dtype=float)
         times = np.arange(len(rows), dtype=float)
         configurations = rows
-        for aim in (0.97, 1.0, 1.0):
+        for aim in (0.97, *[1.0] * 7):
             moved = np.einsum("sij,pj->spi", rotations, points) + positions[:, None]
             travel = np.linalg.norm(np.diff(moved, axis=0), axis=2).max(axis=1) / options.tool_step
             turn = np.abs(np.diff(configurations, axis=0)).max(axis=1) / options.joint_step
@@ -195,7 +198,11 @@ class Replay:
                     kind = "hits" if distance < 0 else f"comes within {1e3 * distance:.3f} mm of"
                     message = f"{names[0]} {kind} {names[1]}"
                     deepest[names] = Finding(k, step.part, first_time, "collision", message, depth)
-        return list(deepest.values()), clearance
+        findings = list(deepest.values())
+        if scene.overflowed:
+            message = "more contacts than the simulator has memory for: not all of them were seen"
+            findings.append(Finding(k, step.part, None, "collision", message))
+        return findings, clearance
 
     def _pairs(self) -> dict[tuple[int, int], float]:
         """Pairs of geoms in sight at the scene's present configuration, with their rough distance, m."""
@@ -262,6 +269,17 @@ def check_tool_path(
     return findings
 
 
+def check_true_length(step: PlanStep, k: int, positions: Array, options: VerificationOptions) -> list[Finding]:
+    """The stated length is what the tool really travels, positions (M, 3), m: the tolerance of the tool path must not
+    add up from row to row."""
+    travelled = path_length(positions)
+    error = abs(travelled - step.length)
+    if error <= options.position_tolerance:
+        return []
+    message = f"stated {step.length:.6f} m, but the joints move the tool {travelled:.6f} m"
+    return [Finding(k, step.part, None, "length", message, error)]
+
+
 def check_start(
     step: PlanStep, k: int, T_world_grasp: Array, position: Array, rotation: Array, options: VerificationOptions
 ) -> list[Finding]:
@@ -283,7 +301,7 @@ def check_lift(
     drift = np.linalg.norm(samples.positions[:count, :2] - samples.positions[0, :2], axis=1)
     angle = _angles(samples.rotations[:count], np.repeat(samples.rotations[:1], len(rise), axis=0))
     bad = (drift > options.position_tolerance) | (angle > options.lift_angle_tolerance)
-    bad[1:] |= np.diff(rise) < -1e-5
+    bad |= rise < np.maximum.accumulate(rise) - 1e-5
     bad[-1] |= samples.lifted == len(samples.times)
     if not bad.any():
         return []

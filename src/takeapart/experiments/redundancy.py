@@ -40,6 +40,12 @@ class MoreSolutions:
                     found.append(np.asarray(solution.q))
         return np.array(found).reshape(-1, self._robot.joints)
 
+    def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
+        """For the pose, and turned by half a turn about the approach direction."""
+        turned = T_world_tool.copy()
+        turned[:3, :2] *= -1
+        return self.solve(T_world_tool), self.solve(turned)
+
 
 def main() -> None:
     """Prints how many grasps have a way, how many have none, and how many of those the denser sample rescues."""
@@ -57,18 +63,18 @@ def main() -> None:
         dense = RemovalPlanner(planner.assembly, workcell, robot=robot)
         dense.reach.replace_inverse_kinematics(MoreSolutions(robot, arguments.solutions, rng))
         work = robot.workspace()
-        pairs = [(p, n) for p in members(planner.assembly.root) for n in range(len(planner.reach.bounds(p)))]
+        pairs = [(p, n) for p in members(planner.assembly.root) for n in range(len(planner.reach.candidates(p)))]
         for index in rng.permutation(len(pairs))[: arguments.grasps]:
             part, number = pairs[int(index)]
-            if planner.reach.hand(part, number, work).blockers is None:
+            if planner.reach.hands(part, work)[number].blockers is None:
                 continue
-            branches = planner.reach.branches(part, number, work)
+            branches = planner.reach.branches(part, number, 0, work)
             solutions += len(branches)
             if branches:
                 ways += 1
             else:
                 none += 1
-                lost += bool(dense.reach.branches(part, number, work))
+                lost += bool(dense.reach.branches(part, number, 0, work))
     print(f"grasps that the hand can take: {ways + none}; with a way to hold and lift the part: {ways}")
     print(f"ways for each of those on average: {solutions / max(ways, 1):.1f}")
     print(f"grasps without a way: {none}; of these the denser sample finds one for: {lost}")

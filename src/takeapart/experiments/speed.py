@@ -100,7 +100,7 @@ def measure_checks(problem: AssemblyProblem, rng: np.random.Generator) -> float:
     planner = problem.planner
     work = planner.robot.workspace()
     arm, world = planner.robot.arm, planner.world
-    held = planner.reach.hand(problem.candidates(problem.root)[0], 0, work).held
+    held = planner.reach.hands(problem.candidates(problem.root)[0], work)[0].held
     present = np.ones(len(problem.assembly.parts) + 1, dtype=np.uint8)
     drawn = rng.uniform(arm.lower, arm.upper, (20_000, len(arm.lower)))
     free = [q for q in drawn if check(arm, held, world, present, 0.001, q, work) == FREE]

@@ -1,127 +1,79 @@
 """Edges between two configurations: straight in joint space, or straight for the tool.
 
 An edge that is *straight for the tool* moves the point between the fingertips on the straight line between its ends,
-the shortest there is (Eq. 1); the rest of the arm's freedom (four of seven joints' worth) follows the interpolation
-of the
-joint angles as closely as the line allows. Each row is the previous one plus its share of what is left to the end,
-projected onto the line by Newton's method on the tool's position.
+the shortest there is (Eq. 1); the rest of the arm's freedom (four of seven joints' worth) follows the interpolation of
+the joint angles as closely as the line allows. Each row is the previous one plus its share of what is left to the end,
+projected onto the line by Newton's method on the tool's position. From row to row the joints move evenly, and that
+motion is what is proved free.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from takeapart.compilation import compiled, compiled_lean
-from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
-from takeapart.robot.kernels import FREE, check, collect, forward, jacobian, linear_jacobian, reach_of_joints
+from takeapart.motion.scene import (
+    HIT,
+    MAXIMUM_PIECES,
+    OPEN,
+    Scene,
+    is_free,
+    look_at,
+    motion_bound,
+    piece_count,
+    piece_free,
+)
+from takeapart.robot.arrays import Floats
+from takeapart.robot.kinematics import forward, linear_jacobian
 
 MAXIMUM_ROWS = 4096
-COARSE_SPACING = 0.06  # m, of the rows in the first try of a tool-straight edge
-LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more would bend the line between them
-LARGEST_MARGIN = 0.03  # m, of the padding by which a piece of motion is accepted with one check
-
-
-class Scene(NamedTuple):
-    """One planning situation: arm, what it carries, what stands around, and scratch memory."""
-
-    arm: ArmArrays
-    held: HeldArrays
-    world: WorldArrays
-    present: Flags  # (parts + 1,) owners of world boxes that count
-    padding: float  # m
-    work: Workspace
-    J: Floats  # (6, n) scratch
-    reach: Floats  # (n,) scratch
-    bounds: Floats  # (MAXIMUM_ROWS,) m, scratch
-    q: Floats  # (n,) rad, scratch
-
-
-def new_scene(
-    arm: ArmArrays, held: HeldArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace
-) -> Scene:
-    """A planning situation with scratch memory of its own."""
-    n = len(arm.lower)
-    scratch = np.zeros((6, n)), np.zeros(n), np.zeros(MAXIMUM_ROWS), np.zeros(n)
-    return Scene(arm, held, world, present, padding, work, *scratch)
+PIECE = 0.08  # m, about as far as the first pieces of a joint-space edge take anything
+LARGEST_ROW_TURN = 0.09  # rad, of a joint from one row of an executable path to the next
 
 
 @compiled_lean
-def is_free(scene: Scene, q: Floats) -> bool:
-    """Whether a configuration touches nothing."""
-    return check(scene.arm, scene.held, scene.world, scene.present, scene.padding, q, scene.work) == FREE
+def bisection(k: int, count: int) -> int:
+    """The k-th of `count` (a power of two) numbers in the order in which bisection visits them."""
+    found, size = 0, count
+    while k > 0:
+        size //= 2
+        if k % 2:
+            found += size
+        k //= 2
+    return found
 
 
 @compiled_lean
-def motion_bound(scene: Scene, a: Floats, b: Floats) -> float:
-    """How far any point of arm and load moves at most between two near configurations, m (see `reach_of_joints`)."""
-    reach_of_joints(scene.arm, scene.held, a, scene.work, scene.reach)
-    total = 0.0
-    for j in range(len(a)):
-        total += scene.reach[j] * abs(b[j] - a[j])
-    return total
+def joint_edge_free(scene: Scene, a: Floats, b: Floats) -> bool:
+    """Whether the straight joint-space edge is free, end b included.
 
-
-@compiled_lean
-def piece_free(scene: Scene, a: Floats, b: Floats, bound: float, step: float, q: Floats) -> bool:
-    """Whether the straight joint-space motion between two near configurations is free.
-
-    A piece is accepted with one check: if its middle stays free when everything is padded by as much as anything can
-    move from there to the ends of the piece, the whole piece is free. Otherwise it is halved, until nothing moves more
-    than `step`, m, in it.
-
-    Args:
-        bound: how far anything moves from a to b, m.
-        q: (n,) scratch.
+    Its end and its pieces, in bisection order, get one look each, which ends most attempts; then the pieces that are
+    not proved free by it are cut further.
     """
-    pieces = 1
-    while bound / pieces > step:
-        pieces *= 2
-    done = 0
-    while done < pieces:
-        size = 1
-        while (
-            done % (2 * size) == 0 and 2 * size * bound / pieces <= 2.0 * LARGEST_MARGIN and done + 2 * size <= pieces
-        ):
-            size *= 2
-        while True:
-            s = (done + 0.5 * size) / pieces
-            for j in range(len(a)):
-                q[j] = a[j] + (b[j] - a[j]) * s
-            margin = 0.5 * size * bound / pieces
-            if check(scene.arm, scene.held, scene.world, scene.present, scene.padding + margin, q, scene.work) == FREE:
-                break
-            if not is_free(scene, q):
-                return False
-            if size == 1:
-                break
-            size //= 2
-        done += size
-    return True
-
-
-@compiled_lean
-def joint_edge_free(scene: Scene, a: Floats, b: Floats, step: float, q: Floats) -> bool:
-    """Whether the straight joint-space edge is free, end b included (see `piece_free`)."""
-    bound = motion_bound(scene, a, b)
+    count, enough = 1, min(piece_count(scene, a, b, PIECE), MAXIMUM_PIECES)
+    while count < enough:
+        count *= 2
     if not is_free(scene, b):
         return False
-    count = 1
-    while bound / count > 2.0 * LARGEST_MARGIN:
-        count *= 2
-    # Bisection order: an edge that is blocked is mostly blocked in the middle.
-    stride = count
-    while stride >= 2:
-        half = stride // 2
-        for k in range(half, count, stride):
-            for j in range(len(a)):
-                q[j] = a[j] + (b[j] - a[j]) * k / count
-            if not is_free(scene, q):
-                return False
-        stride = half
-    return piece_free(scene, a, b, bound, step, q)
+    doubtful = 0
+    for i in range(count):
+        k = bisection(count - 1 - i, count)
+        seen = look_at(scene, a, b, k / count, (k + 1) / count)
+        if seen == HIT:
+            return False
+        if seen == OPEN:
+            scene.doubtful[doubtful] = k
+            doubtful += 1
+    for i in range(doubtful):
+        k = scene.doubtful[i]
+        for j in range(len(a)):
+            scene.ends[0, j] = a[j] + (b[j] - a[j]) * k / count
+            scene.ends[1, j] = a[j] + (b[j] - a[j]) * (k + 1) / count
+        if not piece_free(scene, scene.ends[0], scene.ends[1]):
+            return False
+    return True
 
 
 @compiled_lean
@@ -162,27 +114,39 @@ def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> b
 
 
 @compiled_lean
-def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, step: float, rows: Floats) -> int:
+def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, rows: Floats) -> int:
     """Rows (R, n) of the tool-straight edge from a to b, without a, with b; 0 if there is none that is free.
 
-    A coarse line is tried first, it ends most attempts. Rows are spaced so that nothing moves more than about
-    `spacing`,
-    m, between them. The joint-space motion from row to row is free in the sense of `piece_free` with `step`.
+    Rows are as close as `piece_count` says for `spacing`, m. The joint-space motion from row to row is free in the
+    sense of `piece_free`.
     """
-    bound = motion_bound(scene, a, b)
-    count = max(1, math.ceil(bound / spacing))
-    if count > len(rows):
+    count = piece_count(scene, a, b, spacing)
+    if count > min(len(rows), MAXIMUM_PIECES):
         return 0
-    coarse = math.ceil(bound / COARSE_SPACING)
-    if coarse > 2 and count >= 2 * coarse and not _tool_line(scene, a, b, coarse, rows, True):
+    if not is_free(scene, b) or not tool_line(scene, a, b, count, rows):
         return 0
-    if not _tool_line(scene, a, b, count, rows, False):
-        return 0
-    return count if _rows_free(scene, a, rows, count, spacing, step) else 0
+    every = 1
+    while every < count:
+        every *= 2
+    doubtful = 0
+    for i in range(every):
+        k = bisection(every - 1 - i, every)
+        if k < count:
+            seen = look_at(scene, a if k == 0 else rows[k - 1], rows[k], 0.0, 1.0)
+            if seen == HIT:
+                return 0
+            if seen == OPEN:
+                scene.doubtful[doubtful] = k
+                doubtful += 1
+    for i in range(doubtful):
+        k = scene.doubtful[i]
+        if not piece_free(scene, a if k == 0 else rows[k - 1], rows[k]):
+            return 0
+    return count
 
 
 @compiled_lean
-def _tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats, check_rows: bool) -> bool:
+def tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats) -> bool:
     """Writes `count` rows that follow the tool-straight edge; False if the projection fails or leaves its branch.
 
     A row three times as far from the one before as an even share of the way ends the attempt.
@@ -209,50 +173,6 @@ def _tool_line(scene: Scene, a: Floats, b: Floats, count: int, rows: Floats, che
             before = a[j] if k == 1 else rows[k - 2, j]
             if abs(row[j] - before) > jump:
                 return False
-        if check_rows and not is_free(scene, row):
-            return False
-    return True
-
-
-@compiled_lean
-def _rows_free(scene: Scene, a: Floats, rows: Floats, count: int, spacing: float, step: float) -> bool:
-    """Whether the motion from a through the first rows is free: bisection first, then every piece."""
-    if not is_free(scene, rows[count - 1]):
-        return False
-    stride = 1
-    while stride < count:
-        stride *= 2
-    while stride * spacing >= LARGEST_MARGIN and stride >= 2:
-        half = stride // 2
-        for k in range(half, count, stride):
-            if not is_free(scene, rows[k - 1]):
-                return False
-        stride = half
-    # Runs of rows around a middle one are accepted with one check, as in `piece_free`.
-    bounds, q = scene.bounds, scene.q
-    for k in range(count):
-        before = a if k == 0 else rows[k - 1]
-        bounds[k] = 1.02 * motion_bound(scene, before, rows[k])
-    first = 0
-    while first < count:
-        # Pieces first .. last - 1; the middle is the row where the run up to it is as long as allowed.
-        reach, middle = 0.0, first
-        while middle < count and reach + bounds[middle] <= LARGEST_MARGIN:
-            reach += bounds[middle]
-            middle += 1
-        if middle > first:
-            after, last = 0.0, middle
-            while last < count and after + bounds[last] <= reach:
-                after += bounds[last]
-                last += 1
-            row = rows[middle - 1]
-            if check(scene.arm, scene.held, scene.world, scene.present, scene.padding + reach, row, scene.work) == FREE:
-                first = last
-                continue
-        before = a if first == 0 else rows[first - 1]
-        if not piece_free(scene, before, rows[first], bounds[first], step, q):
-            return False
-        first += 1
     return True
 
 
@@ -272,185 +192,54 @@ def tool_positions(scene: Scene, rows: Floats, count: int, points: Floats) -> fl
 
 
 @compiled
-def path_blockers(scene: Scene, rows: Floats, step: float, hits: Flags) -> bool:
-    """Marks in `hits` (parts + 1,) every owner that the motion through the rows (M, n) may touch.
-
-    A proof for all the others: a piece of motion is checked at its middle with the padding grown by as much as anything
-    moves from there to its ends; pieces that touch something are halved until nothing moves more than `step`, m, in
-    them. What still touches then counts as hit, so an owner that is passed by at `padding + step / 2` or more is never
-    marked, and one that is not marked is never nearer than `padding`.
-
-    Returns:
-        False if the arm touches itself, or an owner that never leaves.
-    """
-    n = rows.shape[1]
-    q = np.empty(n)
-    near = np.zeros(len(hits), np.uint8)
-    if not _settle(scene, rows[0], 0.0, hits, near, True):
-        return False
-    for k in range(1, len(rows)):
-        bound = 1.02 * motion_bound(scene, rows[k - 1], rows[k])
-        pieces = 1
-        while bound / pieces > step:
-            pieces *= 2
-        done = 0
-        while done < pieces:
-            size = 1
-            while (
-                done % (2 * size) == 0
-                and 2 * size * bound / pieces <= 2.0 * LARGEST_MARGIN
-                and done + 2 * size <= pieces
-            ):
-                size *= 2
-            while True:
-                s = (done + 0.5 * size) / pieces
-                for j in range(n):
-                    q[j] = rows[k - 1, j] + (rows[k, j] - rows[k - 1, j]) * s
-                if _settle(scene, q, 0.5 * size * bound / pieces, hits, near, size == 1):
-                    break
-                if size == 1:
-                    return False
-                size //= 2
-            done += size
-    return True
+def waypoints(scene: Scene, corners: Floats, spacing: float) -> Floats:
+    """Rows (N, n) of a joint path through corners (M, n), as close as `piece_count` says; (0, n) if too many."""
+    n = corners.shape[1]
+    found = np.empty((MAXIMUM_ROWS, n))
+    found[0] = corners[0]
+    total = 1
+    for k in range(1, len(corners)):
+        count = piece_count(scene, corners[k - 1], corners[k], spacing)
+        if total + count > MAXIMUM_ROWS:
+            return np.empty((0, n))
+        _interpolate(corners[k - 1], corners[k], count, found[total:])
+        total += count
+    return found[:total].copy()
 
 
 @compiled_lean
-def _settle(scene: Scene, q: Floats, margin: float, hits: Flags, near: Flags, last: bool) -> bool:
-    """Whether a piece of motion around q is decided: it touches nothing new; or, at the last size, what it touches
-    is marked.
-    """
-    for i in range(len(hits)):
-        near[i] = hits[i]  # what is marked already needs no further look
-    free = collect(scene.arm, scene.held, scene.world, scene.present, scene.padding + margin, q, scene.work, near)
-    if not free or near[len(near) - 1]:
-        return False
-    new = False
-    for i in range(len(hits)):
-        new = new or near[i] != hits[i]
-    if new and last:
-        for i in range(len(hits)):
-            hits[i] = near[i]
-    return last or not new
-
-
-@compiled_lean
-def solve_symmetric(A: Floats, x: Floats) -> bool:
-    """Solves A y = x for a positive definite A (m, m), of which the lower triangle is read and overwritten; y
-    replaces x.
-
-    Cholesky's method; False if A is not positive definite.
-    """
-    m = len(x)
-    for i in range(m):
-        for j in range(i + 1):
-            total = A[i, j]
-            for k in range(j):
-                total -= A[i, k] * A[j, k]
-            if i == j:
-                if total <= 0.0:
-                    return False
-                A[i, i] = math.sqrt(total)
-            else:
-                A[i, j] = total / A[j, j]
-    for i in range(m):
-        for k in range(i):
-            x[i] -= A[i, k] * x[k]
-        x[i] /= A[i, i]
-    for i in range(m - 1, -1, -1):
-        for k in range(i + 1, m):
-            x[i] -= A[k, i] * x[k]
-        x[i] /= A[i, i]
-    return True
+def _interpolate(a: Floats, b: Floats, count: int, rows: Floats) -> None:
+    for i in range(count):
+        for j in range(len(a)):
+            rows[i, j] = a[j] + (b[j] - a[j]) * (i + 1) / count
 
 
 @compiled
-def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> bool:
-    """Rows (L, n) that lift the tool straight up from q_start, orientation kept, in equal steps; False if the arm
-    cannot.
-
-    Newton's method on all six coordinates, started at the row before, so all rows are on the branch of the first one.
-    """
-    arm, work, J = scene.arm, scene.work, scene.J
-    n, count = len(q_start), len(rows) - 1
-    rows[0] = q_start
-    forward(arm, q_start, work)
-    R0, p0 = work.R_tool.copy(), work.p_tool.copy()
-    e = np.empty(6)
-    A = np.empty((6, 6))
-    for k in range(1, count + 1):
-        q = rows[k]
-        for j in range(n):  # where the two rows before lead to
-            q[j] = rows[k - 1, j] if k == 1 else 2.0 * rows[k - 1, j] - rows[k - 2, j]
-        converged = False
-        for _ in range(8):
-            forward(arm, q, work)
-            R, p = work.R_tool, work.p_tool
-            e[0], e[1], e[2] = p0[0] - p[0], p0[1] - p[1], p0[2] + height * k / count - p[2]
-            # Rotation error as half the sum of the cross products of matching axes.
-            for i in range(3):
-                u, v = (i + 1) % 3, (i + 2) % 3
-                total = 0.0
-                for c in range(3):
-                    total += R[u, c] * R0[v, c] - R[v, c] * R0[u, c]
-                e[3 + i] = 0.5 * total
-            worst = 0.0
-            for i in range(6):
-                worst = max(worst, abs(e[i]))
-            if worst < 1e-9:
-                converged = True
-                break
-            jacobian(work, J)
-            for i in range(6):
-                for m in range(6):
-                    total = 1e-12 if i == m else 0.0
-                    if m > i:
-                        continue  # the lower triangle is enough
-                    for j in range(n):
-                        total += J[i, j] * J[m, j]
-                    A[i, m] = total
-            if not solve_symmetric(A, e):
-                break
-            for j in range(n):
-                for i in range(6):
-                    q[j] += J[i, j] * e[i]
-        if not converged:
-            return False
-        for j in range(n):
-            if q[j] < arm.lower[j] or q[j] > arm.upper[j] or abs(q[j] - rows[k - 1, j]) > LARGEST_LIFT_TURN:
-                return False
-    return True
-
-
-@compiled
-def lift_branches(
-    lifting: Scene, carrying: Scene, starts: Floats, height: float, step: float, rows: Floats, hits: Flags, good: Flags
-) -> None:
-    """Lifts from every start configuration (S, n): rows (S, L, n), what each would hit (S, parts + 1), and which are
-    possible.
+def resampled(scene: Scene, rows: Floats, spacing: float, straighten: bool) -> Floats:
+    """Closer rows of a joint path (M, n): nothing moves more than `spacing`, m, from row to row, and no joint turns by
+    more than LARGEST_ROW_TURN.
 
     Args:
-        lifting: scene in which the load itself is not checked against the world.
-        carrying: scene in which it is; for the end of the lift.
-        step: see `path_blockers`.
+        spacing: m; also bounds what the motion between rows can bend.
+        straighten: move the tool on straight lines between the given rows, where that is possible; the motion is then
+            another one than that between the given rows, and not yet proved free.
+
+    Returns:
+        (N, n) rows, or (0, n) where they would be too many.
     """
-    last = hits.shape[1] - 1
-    for s in range(len(starts)):
-        good[s] = 0
-        mark = hits[s]
-        mark[:] = 0
-        # The first configuration is looked at alone: it ends most branches.
-        if not collect(
-            lifting.arm, lifting.held, lifting.world, lifting.present, lifting.padding, starts[s], lifting.work, mark
-        ):
-            continue
-        if mark[last] or not lift_rows(lifting, starts[s], height, rows[s]):
-            continue
-        end = rows[s, rows.shape[1] - 1]
-        if not collect(
-            carrying.arm, carrying.held, carrying.world, carrying.present, carrying.padding, end, carrying.work, mark
-        ):
-            continue
-        if mark[last] or not path_blockers(lifting, rows[s], step, mark):
-            continue
-        good[s] = 1
+    n = rows.shape[1]
+    found = np.empty((MAXIMUM_ROWS, n))
+    found[0] = rows[0]
+    total = 1
+    for k in range(1, len(rows)):
+        a, b = rows[k - 1], rows[k]
+        largest = 0.0
+        for j in range(n):
+            largest = max(largest, abs(b[j] - a[j]))
+        count = max(1, math.ceil(motion_bound(scene, a, b) / spacing), math.ceil(largest / LARGEST_ROW_TURN))
+        if total + count > MAXIMUM_ROWS:
+            return np.empty((0, n))
+        if not straighten or not tool_line(scene, a, b, count, found[total:]):
+            _interpolate(a, b, count, found[total:])
+        total += count
+    return found[:total].copy()

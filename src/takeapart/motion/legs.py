@@ -7,22 +7,12 @@ import math
 import numpy as np
 
 from takeapart.compilation import compiled, compiled_lean
-from takeapart.motion.edges import MAXIMUM_ROWS, Scene, is_free, project_to_point, tool_edge
+from takeapart.motion.edges import MAXIMUM_ROWS, project_to_point, tool_edge
 from takeapart.motion.rrt import next_random
+from takeapart.motion.scene import Scene, is_free
 from takeapart.robot.arrays import Flags, Floats, Indices, WorldArrays
-from takeapart.robot.kernels import ball_near_world, forward, mark_ball
-
-
-@compiled_lean
-def mark_line(world: WorldArrays, a: Floats, b: Floats, radius: float, hits: Flags) -> None:
-    """Marks in `hits` (parts + 1,) every owner that a ball moving straight from a to b (3,), m, touches at its
-    samples.
-    """
-    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    count = max(1, math.ceil(length / max(0.5 * radius, 0.004)))
-    for k in range(count + 1):
-        s = k / count
-        mark_ball(world, a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2]), radius, hits)
+from takeapart.robot.grid import ball_near_world
+from takeapart.robot.kinematics import forward
 
 
 @compiled_lean
@@ -93,14 +83,14 @@ def near_pairs(lifted: Floats, goals: Floats, each: int) -> Indices:
 
 
 @compiled
-def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing: float, step: float) -> Floats:
+def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing: float) -> Floats:
     """Rows (M, n) of a tool-straight path from a lifted configuration (A, n) to a goal one (G, n); (0, n) if none is
     found.
 
     Args:
         goals: configurations, free or not.
         attempts: pairs tried at most, in the order of `near_pairs`.
-        spacing, step: see `tool_edge`.
+        spacing: see `tool_edge`.
     """
     n = lifted.shape[1]
     rows = np.empty((MAXIMUM_ROWS, n))
@@ -111,7 +101,7 @@ def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing:
         if not is_free(scene, goals[pair[1]]):
             continue
         tried += 1
-        count = tool_edge(scene, lifted[pair[0]], goals[pair[1]], spacing, step, rows)
+        count = tool_edge(scene, lifted[pair[0]], goals[pair[1]], spacing, rows)
         if count:
             path = np.empty((count + 1, n))
             path[0] = lifted[pair[0]]
@@ -173,7 +163,6 @@ def two_legs(
     attempts: int,
     shorter_than: float,
     spacing: float,
-    step: float,
     seed: int,
 ) -> Floats:
     """Rows (M, n) of the shortest path of two tool-straight legs that is found; (0, n) if none is.
@@ -184,7 +173,7 @@ def two_legs(
             succeeds is the best of them.
         attempts: tries with the arm at most.
         shorter_than: length of the path at most, m.
-        spacing, step: see `tool_edge`.
+        spacing: see `tool_edge`.
         seed: of this call's own random numbers.
     """
     n = lifted.shape[1]
@@ -213,10 +202,10 @@ def two_legs(
             tried += 1
             if not project_to_point(scene, via, points[k, 0], points[k, 1], points[k, 2]) or not is_free(scene, via):
                 continue
-            count = tool_edge(scene, start, via, spacing, step, first)
+            count = tool_edge(scene, start, via, spacing, first)
             if count == 0:
                 continue
-            more = tool_edge(scene, via, goal, spacing, step, second)
+            more = tool_edge(scene, via, goal, spacing, second)
             if more == 0 or 1 + count + more > MAXIMUM_ROWS:
                 continue
             path = np.empty((1 + count + more, n))

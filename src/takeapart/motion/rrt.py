@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from takeapart.compilation import compiled, compiled_lean
-from takeapart.motion.edges import Scene, joint_edge_free
+from takeapart.motion.edges import joint_edge_free
+from takeapart.motion.scene import Scene
 from takeapart.robot.arrays import Floats, Integers, RandomState
 
 
@@ -36,9 +37,7 @@ def _nearest(nodes: Floats, count: int, q: Floats) -> int:
 
 
 @compiled
-def rrt_connect(
-    scene: Scene, starts: Floats, goals: Floats, iterations: int, stride: float, step: float, seed: int
-) -> Floats:
+def rrt_connect(scene: Scene, starts: Floats, goals: Floats, iterations: int, stride: float, seed: int) -> Floats:
     """A free joint path from any start to any goal.
 
     Args:
@@ -46,7 +45,6 @@ def rrt_connect(
         goals: (B, n) free configurations, rad.
         iterations: random samples at most.
         stride: length of a tree edge, rad.
-        step: nothing moves more than this between checks, m.
         seed: of this call's own random numbers.
 
     Returns:
@@ -60,7 +58,7 @@ def rrt_connect(
     nodes[0, : count[0]] = starts
     nodes[1, : count[1]] = goals
     state = np.array([seed], dtype=np.uint64)
-    q, middle, target = np.empty(n), np.empty(n), np.empty(n)
+    q, target = np.empty(n), np.empty(n)
     side = 0
     for _ in range(iterations):
         for j in range(n):
@@ -70,7 +68,7 @@ def rrt_connect(
         if distance > stride:
             for j in range(n):
                 q[j] = nodes[side, near, j] + (q[j] - nodes[side, near, j]) * stride / distance
-        if count[side] < capacity and joint_edge_free(scene, nodes[side, near], q, step, middle):
+        if count[side] < capacity and joint_edge_free(scene, nodes[side, near], q):
             new = count[side]
             nodes[side, new] = q
             parent[side, new] = near
@@ -84,7 +82,7 @@ def rrt_connect(
                 for j in range(n):
                     part = 1.0 if reached else stride / distance
                     target[j] = nodes[other, near, j] + (q[j] - nodes[other, near, j]) * part
-                if not joint_edge_free(scene, nodes[other, near], target, step, middle):
+                if not joint_edge_free(scene, nodes[other, near], target):
                     break
                 nodes[other, count[other]] = target
                 parent[other, count[other]] = near

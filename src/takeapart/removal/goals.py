@@ -11,8 +11,8 @@ import threading
 import numpy as np
 
 from takeapart.geometry import Array, pose
-from takeapart.motion.edges import Scene
 from takeapart.motion.legs import nearest_free
+from takeapart.motion.scene import Scene
 from takeapart.robot.arrays import Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import FREE, check

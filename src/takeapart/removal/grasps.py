@@ -4,6 +4,7 @@ VI).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,26 +42,28 @@ def grasp_candidates(part: Part, maximum_opening: float) -> list[GraspCandidate]
     box = part.shape.bounding_box()
     long_axis = int(np.argmax(box.half_extents))
     sides = [axis for axis in range(3) if axis != long_axis]
-    found = []
-    for distance in grasp_positions(2 * float(box.half_extents[long_axis])):
-        center = np.zeros(3)
-        center[long_axis] = distance - box.half_extents[long_axis]
-        for approach_axis, closing_axis in (sides, sides[::-1]):
-            width = 2 * float(box.half_extents[closing_axis])
-            if width > maximum_opening:
-                continue
-            for approach_sign in (1.0, -1.0):
-                for closing_sign in (1.0, -1.0):
-                    z, y = np.zeros(3), np.zeros(3)
-                    z[approach_axis], y[closing_axis] = approach_sign, closing_sign
-                    T = np.eye(4)
-                    T[:3, :3] = np.column_stack([np.cross(y, z), y, z])
-                    T[:3, 3] = center
-                    found.append(GraspCandidate(box.T_frame_box @ T, width))
-    return found
+    distances = grasp_positions(2 * float(box.half_extents[long_axis])) - box.half_extents[long_axis]
+    turns, widths = [], []
+    for approach_axis, closing_axis in (sides, sides[::-1]):
+        width = 2 * float(box.half_extents[closing_axis])
+        if width > maximum_opening:
+            continue
+        for approach_sign in (1.0, -1.0):
+            for closing_sign in (1.0, -1.0):
+                z, y = np.zeros(3), np.zeros(3)
+                z[approach_axis], y[closing_axis] = approach_sign, closing_sign
+                turns.append(np.column_stack([np.cross(y, z), y, z]))
+                widths.append(width)
+    T = np.zeros((len(distances), len(turns), 4, 4))
+    T[..., :3, :3] = np.array(turns).reshape(-1, 3, 3)
+    T[..., long_axis, 3] = distances[:, None]
+    T[..., 3, 3] = 1.0
+    poses = (box.T_frame_box @ T).reshape(-1, 4, 4)
+    return [GraspCandidate(pose, width) for pose, width in zip(poses, widths * len(distances), strict=True)]
 
 
-def straight_line_bound(part: Part, grasp: GraspCandidate, lift_height: float, goal: Array) -> float:
-    """Least length of a removal with a grasp, m: straight up, then straight to the goal (Eq. 1)."""
-    lifted = (part.T_world_part @ grasp.T_part_tool)[:3, 3] + np.array([0, 0, lift_height])
-    return lift_height + float(np.linalg.norm(goal - lifted))
+def straight_line_bounds(part: Part, grasps: Sequence[GraspCandidate], lift_height: float, goal: Array) -> Array:
+    """Least length (K,) of a removal with each grasp, m: straight up, then straight to the goal (Eq. 1)."""
+    centers = np.array([grasp.T_part_tool[:, 3] for grasp in grasps]).reshape(-1, 4) @ part.T_world_part[:3].T
+    bounds: Array = lift_height + np.linalg.norm(centers + [0.0, 0.0, lift_height] - goal, axis=1)
+    return bounds

@@ -18,3 +18,8 @@ def flags_of(state: int, parts: int) -> Flags:
 def state_of(flags: Flags) -> int:
     """State of the parts flagged; the last flag, for what never leaves, is not part of it."""
     return int.from_bytes(np.packbits(flags[:-1], bitorder="little").tobytes(), "little")
+
+
+def states_of(flags: Flags) -> list[int]:
+    """As `state_of`, for every row of flags (K, parts + 1)."""
+    return [int.from_bytes(row.tobytes(), "little") for row in np.packbits(flags[:, :-1], axis=1, bitorder="little")]

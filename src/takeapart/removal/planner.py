@@ -6,25 +6,25 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from takeapart.assembly import Assembly
-from takeapart.geometry import Array, OrientedBox, quaternion_from_rotation
-from takeapart.motion.edges import LARGEST_MARGIN, Scene, new_scene, path_blockers
-from takeapart.motion.legs import bends, one_leg, two_legs
-from takeapart.motion.rrt import rrt_connect
-from takeapart.motion.smooth import dense, shorten
+from takeapart.geometry import Array, OrientedBox, quaternions_from_rotations
+from takeapart.motion.blockers import path_blockers
+from takeapart.motion.edges import resampled
 from takeapart.plan import Grasp
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
-from takeapart.removal.reach import Hand, LiftBranch, Reach
+from takeapart.removal.paths import Path, PathSearch, RemovalOptions
+from takeapart.removal.reach import Reach
 from takeapart.removal.result import Blocked, Counts, Removal
 from takeapart.robot.arrays import Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.kernels import tool_poses
+from takeapart.robot.kernels import LARGEST_MARGIN
+from takeapart.robot.kinematics import tool_poses
 from takeapart.robot.model import RobotModel, load_robot
 from takeapart.robot.world import build_world, owner_fields, with_field
 from takeapart.workcell import Workcell
@@ -32,56 +32,9 @@ from takeapart.workcell import Workcell
 KEPT_WORLDS = 64  # clearance fields of states that are kept
 PLANNING_MARGIN = 1e-4  # m, kept while planning over what the final check asks for, so that it does not fail by a hair
 
+DEFAULTS = RemovalOptions()
 
-@dataclass(frozen=True)
-class RemovalOptions:
-    """How removals are planned.
-
-    Args:
-        check_step: pieces of motion are proved free, or checked until nothing moves more than this in them, m; see
-            `docs/concepts.md`.
-        lift_check_step: the same for lifts, m; whatever a lift passes by nearer than half of it counts as hit.
-        row_spacing: nothing moves more than about this between the rows of a path, m.
-        tolerance: a grasp that cannot gain more than this over the best found is not planned, m.
-        straight_attempts: pairs of lifted and goal configuration tried with a straight tool path, per grasp.
-        bend_samples: points drawn at which a path of two straight legs may bend, per grasp position.
-        bend_attempts: tries with the arm to bend there, per grasp.
-        leg_grasps: grasps tried with two legs, per query.
-        tree_iterations: random samples of one RRT-Connect call.
-        tree_stride: length of its edges, rad.
-        tree_paths: paths that trees find, per query.
-        tree_failures: times that trees may fail, per query.
-        quick_moves, shortening_moves: moves of the path shortening for every tree path, and for the best ones.
-        finalists: paths that are shortened with all moves.
-        shortening_patience: moves without gain that end it.
-    """
-
-    check_step: float = 0.001
-    lift_check_step: float = 0.002
-    row_spacing: float = 0.01
-    tolerance: float = 0.002
-    straight_attempts: int = 32
-    bend_samples: int = 200
-    bend_attempts: int = 80
-    leg_grasps: int = 8
-    tree_iterations: int = 600
-    tree_stride: float = 0.4
-    tree_paths: int = 4
-    tree_failures: int = 24
-    quick_moves: int = 24
-    shortening_moves: int = 160
-    finalists: int = 2
-    shortening_patience: int = 48
-
-
-@dataclass(frozen=True, eq=False)
-class _Path:
-    """A path found for one grasp: rows (M, n), rad, after the lift, and the length of their tool path, m."""
-
-    hand: Hand
-    branches: tuple[LiftBranch, ...]
-    rows: Array
-    length: float
+__all__ = ["RemovalOptions", "RemovalPlanner", "tool_length"]
 
 
 class RemovalPlanner:
@@ -103,7 +56,7 @@ class RemovalPlanner:
         self,
         assembly: Assembly,
         workcell: Workcell,
-        options: RemovalOptions = RemovalOptions(),
+        options: RemovalOptions = DEFAULTS,
         robot: RobotModel | None = None,
     ) -> None:
         self.assembly, self.workcell, self.options = assembly, workcell, options
@@ -124,7 +77,7 @@ class RemovalPlanner:
         self._worlds: dict[int, WorldArrays] = {}
         self.world = self._world_of(assembly.root)
         self._ik = ik = InverseKinematics(self.robot)
-        self.forget_grasps()
+        self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.lift_check_step)
         self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding)
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
@@ -132,15 +85,13 @@ class RemovalPlanner:
 
     def forget_grasps(self) -> None:
         """Starts anew with grasps and lifts, which are kept from the first time they are asked for."""
-        padding, step = self._padding, self.options.lift_check_step
-        self.reach = Reach(self.assembly, self.workcell, self.robot, self._ik, self.world, padding, step)
+        self.reach.forget()
 
     def straight_line_bound(self, part: int) -> float:
         """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any
         grasp.
         """
-        bounds = self.reach.bounds(part)
-        return bounds[0][0] if bounds else math.inf
+        return self.reach.bound(part)
 
     def plan(
         self, part: int, state: int, *, rng: np.random.Generator, shorter_than: float = math.inf, attempts: int = 1
@@ -167,7 +118,7 @@ class RemovalPlanner:
         for _ in range(attempts):
             found = self._attempt(part, others, rng, limit)
             if isinstance(found, Removal) and found.length >= limit:
-                found = Blocked(part, "path", self._blame_path(part, others))  # shortening did not get it below
+                found = Blocked(part, "path", others)  # shortening did not get it below
             if isinstance(found, Removal):
                 best, limit = found, found.length
                 if limit <= self.straight_line_bound(part) + self.options.tolerance:
@@ -178,237 +129,79 @@ class RemovalPlanner:
         return best
 
     def _attempt(self, part: int, others: int, rng: np.random.Generator, limit: float) -> Removal | Blocked:
-        work, options = self._workspace(), self.options
-        lift = self.workcell.lift_height
-        nearest: int | None = None  # fewest parts in the way of any hand
-        open_: list[int] = []
-        for number, (bound, _) in enumerate(self.reach.bounds(part)):
-            if bound >= limit - options.tolerance:
+        work = self._workspace()
+        search = PathSearch(
+            self.options,
+            self.robot,
+            self.reach,
+            self.goals,
+            part,
+            others,
+            flags_of(others, self._parts),
+            self._world_of(others),
+            self._padding,
+            self.workcell.lift_height,
+            self.workcell.goal,
+            rng,
+            work,
+        )
+        open_ = search.open_grasps(limit)
+        best: Removal | None = None
+        for place, path in enumerate(search.search(open_, limit)):
+            if best is not None and (place >= self.options.finalists or search.hands[path.number].bound >= best.length):
                 break
-            blockers = self.reach.hand(part, number, work).blockers
-            if blockers is not None and not blockers & others:
-                open_.append(number)
-            elif blockers is not None:
-                nearest = _fewer(nearest, blockers & others)
-        paths: list[_Path] = []
-        # Paths of one or two straight legs; grasps in the order of what a ball in place of the hand would need.
-        tried = 0
-        for estimate, number, points in self._estimates(part, others, open_, limit, rng, work):
-            if estimate >= limit - options.tolerance or tried >= options.leg_grasps:
-                break
-            branches = self._valid(part, others, number, work)
-            if not branches:
-                continue
-            tried += 1
-            path = self._legs(others, self.reach.hand(part, number, work), branches, points, limit - lift, rng, work)
-            if path is not None:
-                paths.append(path)
-                limit = path.length + lift
-        # Then trees; where few grasps are left they are tried again, with other random numbers.
-        successes = failures = turn = 0
-        usable = self._spread(part, open_, limit, work)
-        while usable and successes < options.tree_paths and failures < options.tree_failures:
-            number = usable[turn % len(usable)]
-            branches = self._valid(part, others, number, work)
-            hand = self.reach.hand(part, number, work)
-            if not branches or hand.bound >= limit - options.tolerance:
-                usable.remove(number)
-                continue
-            turn += 1
-            path = self._tree(others, hand, branches, limit - lift, rng, work)
-            if path is None:
-                failures += 1
-                continue
-            successes += 1
-            paths.append(path)
-            limit = min(limit, path.length + lift)
-        removal = self._polish(part, others, paths, rng, work)
-        return removal if removal is not None else self._refusal(part, others, open_, nearest, work)
+            removal = self._finish(search, search.polished(path), work)
+            if removal is not None and (best is None or removal.length < best.length):
+                best = removal
+        with self._lock:
+            self.counts.motion_plans += search.motion_plans
+        return best if best is not None else self._refusal(search, open_)
 
-    def _refusal(self, part: int, others: int, open_: list[int], nearest: int | None, work: Workspace) -> Blocked:
+    def _refusal(self, search: PathSearch, open_: list[int]) -> Blocked:
         """The furthest stage that any grasp reached, and the fewest parts whose absence would take one further.
 
         Args:
             open_: grasps that the hand can take.
-            nearest: fewest parts in the way of a hand.
         """
+        part, others = search.part, search.others
         if not open_:
-            return Blocked(part, "grasp", nearest or 0)
-        if not len(self.goals.all(work)):
+            known = [hand.blockers & others for hand in search.hands if hand.blockers is not None]
+            return Blocked(part, "grasp", _fewest(known))
+        if not len(self.goals.all(search.work)):
             return Blocked(part, "ik", 0)
-        in_the_way: int | None = None
-        for number in open_:
-            for branch in self.reach.branches(part, number, work):
-                if not branch.blockers & others:
-                    return Blocked(part, "path", self._blame_path(part, others))
-                in_the_way = _fewer(in_the_way, branch.blockers & others)
-        return Blocked(part, "ik", in_the_way or 0)
+        if any(search.branches(number) for number in open_):
+            return Blocked(part, "path", self._blame_path(search))
+        known = [mask for number in open_ for mask in self.reach.in_the_way(part, number, others, search.work)]
+        return Blocked(part, "ik", _fewest(known))
 
-    def _valid(self, part: int, others: int, number: int, work: Workspace) -> tuple[LiftBranch, ...]:
-        return tuple(b for b in self.reach.branches(part, number, work) if not b.blockers & others)
-
-    def _estimates(
-        self, part: int, others: int, pending: list[int], limit: float, rng: np.random.Generator, work: Workspace
-    ) -> list[tuple[float, int, Array]]:
-        """Grasps with the least length of a path with at most one bend that a ball could follow, m; shortest first."""
-        found = []
-        present = flags_of(others, self._parts)
-        known: dict[tuple[float, ...], Array] = {}
-        for number in pending:
-            hand = self.reach.hand(part, number, work)
-            if hand.bound >= limit - self.options.tolerance:
-                break
-            key = tuple(np.round(hand.lifted, 6).tolist())
-            if key not in known:
-                longest = limit - self.workcell.lift_height
-                seed = int(rng.integers(1 << 62))
-                known[key] = bends(
-                    self._world_of(others),
-                    present,
-                    hand.lifted,
-                    self.workcell.goal,
-                    hand.radius,
-                    self.options.bend_samples,
-                    longest,
-                    seed,
-                )
-            points = known[key]
-            if hand.line is not None and not hand.line & others:
-                found.append((hand.bound, number, points))
-            elif len(points):
-                found.append((float(points[0, 3]) + self.workcell.lift_height, number, points))
-        return sorted(found, key=lambda entry: (entry[0], self.reach.from_above(part, entry[1]), entry[1]))
-
-    def _legs(
-        self,
-        others: int,
-        hand: Hand,
-        branches: tuple[LiftBranch, ...],
-        points: Array,
-        longest: float,
-        rng: np.random.Generator,
-        work: Workspace,
-    ) -> _Path | None:
-        """A path that is straight for the tool, or else one of two straight legs."""
-        self._count()
-        options = self.options
-        scene = self._scene(hand, others, work)
-        lifted = np.array([branch.rows[-1] for branch in branches])
-        seed = int(rng.integers(1 << 62))
-        if hand.line is not None and not hand.line & others:
-            every = self.goals.all(work)
-            rows = one_leg(scene, lifted, every, options.straight_attempts, options.row_spacing, options.check_step)
-            if len(rows):
-                return self._path(hand, branches, rows, work)
-        goals = self.goals.free(scene, lifted, work)
-        rows = two_legs(
-            scene, lifted, goals, points, options.bend_attempts, longest, options.row_spacing, options.check_step, seed
-        )
-        return self._path(hand, branches, rows, work)
-
-    def _spread(self, part: int, pending: list[int], limit: float, work: Workspace) -> list[int]:
-        """Pending grasps that can still be shorter, those with another position or approach than all before them
-        first.
-        """
-        first: list[int] = []
-        later: list[int] = []
-        seen: set[tuple[int, ...]] = set()
-        for number in sorted(pending, key=lambda n: (self.reach.from_above(part, n), n)):
-            hand = self.reach.hand(part, number, work)
-            if hand.bound >= limit - self.options.tolerance:
-                continue
-            approach = tuple(np.round(hand.candidate.T_part_tool[:3, 2]).astype(int).tolist())
-            position = int(hand.candidate.T_part_tool[:3, 3].sum() // 0.06)
-            (later if (*approach, position) in seen else first).append(number)
-            seen.add((*approach, position))
-        return first + later
-
-    def _tree(
-        self,
-        others: int,
-        hand: Hand,
-        branches: tuple[LiftBranch, ...],
-        longest: float,
-        rng: np.random.Generator,
-        work: Workspace,
-    ) -> _Path | None:
-        """A path by RRT-Connect, shortened a little."""
-        self._count()
-        options = self.options
-        scene = self._scene(hand, others, work)
-        lifted = np.array([branch.rows[-1] for branch in branches])
-        goals = self.goals.free(scene, lifted, work)
-        if not len(goals):
-            return None
-        seeds = rng.integers(1 << 62, size=2)
-        corners = rrt_connect(
-            scene, lifted, goals, options.tree_iterations, options.tree_stride, options.check_step, int(seeds[0])
-        )
-        if not len(corners):
-            return None
-        rows = dense(scene, corners, options.row_spacing)
-        if not len(rows):
-            return None
-        rows = self._shorten(scene, rows, options.quick_moves, longest, int(seeds[1]))
-        return self._path(hand, branches, rows, work)
-
-    def _shorten(self, scene: Scene, rows: Array, moves: int, longest: float, seed: int) -> Array:
-        options = self.options
-        patience = options.shortening_patience
-        return shorten(scene, rows, moves, options.row_spacing, options.check_step, longest, patience, seed)
-
-    def _polish(
-        self, part: int, others: int, paths: list[_Path], rng: np.random.Generator, work: Workspace
-    ) -> Removal | None:
-        """The best removal after the shortest paths were shortened with all moves."""
-        paths = sorted(paths, key=lambda path: path.length)
-        best: Removal | None = None
-        for place, path in enumerate(paths):
-            if best is not None and (place >= self.options.finalists or path.hand.bound >= best.length):
-                break
-            scene = self._scene(path.hand, others, work)
-            rows = path.rows
-            seed = int(rng.integers(1 << 62))
-            if path.length > path.hand.bound - self.workcell.lift_height + 1e-4:
-                rows = self._shorten(scene, rows, self.options.shortening_moves, math.inf, seed)
-            removal = self._finish(part, others, replace(path, rows=rows), work)
-            if removal is not None and (best is None or removal.length < best.length):
-                best = removal
-        return best
-
-    def _finish(self, part: int, others: int, path: _Path, work: Workspace) -> Removal | None:
+    def _finish(self, search: PathSearch, path: Path, work: Workspace) -> Removal | None:
         """Joins lift and path, and finds the blockers of the whole motion; None if the motion does not hold."""
-        branch = next(b for b in path.branches if np.array_equal(b.rows[-1], path.rows[0]))
-        scene = self._scene(path.hand, self.assembly.root & ~(1 << part), work)
-        scene = scene._replace(padding=self.workcell.clearance)  # the check adds what moves between its samples
-        hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
-        hits[-1] = 0
-        if not path_blockers(scene, path.rows, self.options.check_step, hits):
+        part, others = search.part, search.others
+        branch = next(b for b in search.branches(path.number) if np.array_equal(b.rows[-1], path.rows[0]))
+        everything = flags_of(self.assembly.root & ~(1 << part), self._parts)
+        scene = search.scene(path.number)._replace(
+            world=self.world,
+            present=everything,
+            padding=self.workcell.clearance,  # the check adds what moves between its samples
+        )
+        for straighten in (True, False):  # as it was planned, if the straighter one hits something
+            rows = resampled(scene, path.rows, self.options.row_spacing, straighten)
+            hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
+            hits[-1] = 0
+            if len(rows) and path_blockers(scene, rows, hits) and not state_of(hits) & others:
+                break
+        else:
             return None
-        blockers = state_of(hits)
-        if blockers & others:
-            return None
-        joint_path = np.concatenate([branch.rows[:-1], path.rows])
+        joint_path = np.concatenate([branch.rows[:-1], rows])
         tool_path = self.tool_path(joint_path)
-        held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), path.hand.candidate.width)
-        return Removal(part, held, joint_path, tool_path, tool_length(tool_path), blockers)
+        held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), search.hands[path.number].candidate.width)
+        return Removal(part, held, joint_path, tool_path, tool_length(tool_path), state_of(hits))
 
     def tool_path(self, joint_path: Array) -> Array:
         """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad."""
         positions, rotations = np.empty((len(joint_path), 3)), np.empty((len(joint_path), 3, 3))
         tool_poses(self.robot.arm, np.ascontiguousarray(joint_path), self._workspace(), positions, rotations)
-        return np.column_stack([positions, [quaternion_from_rotation(R) for R in rotations]])
-
-    def _path(self, hand: Hand, branches: tuple[LiftBranch, ...], rows: Array, work: Workspace) -> _Path | None:
-        if not len(rows):
-            return None
-        positions, rotations = np.empty((len(rows), 3)), np.empty((len(rows), 3, 3))
-        tool_poses(self.robot.arm, rows, work, positions, rotations)
-        return _Path(hand, branches, rows, float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()))
-
-    def _count(self) -> None:
-        with self._lock:
-            self.counts.motion_plans += 1
+        return np.column_stack([positions, quaternions_from_rotations(rotations)])
 
     def _workspace(self) -> Workspace:
         if not hasattr(self._local, "work"):
@@ -426,25 +219,18 @@ class RemovalPlanner:
             self._worlds[state] = world
         return world
 
-    def _scene(self, hand: Hand, others: int, work: Workspace) -> Scene:
-        present = flags_of(others, self._parts)
-        world = self._world_of(others)
-        return new_scene(self.robot.arm, hand.held, world, present, self._padding, work)
-
-    def _blame_path(self, part: int, others: int) -> int:
+    def _blame_path(self, search: PathSearch) -> int:
         """Parts that the straight line of every grasp meets; all others if there is no such part."""
-        lines = [
-            self.reach.hand(part, number, self._workspace()).line for number in range(len(self.reach.bounds(part)))
-        ]
-        common = others
-        for line in lines:
-            if line is not None:
-                common &= line
-        return common or others
+        common = search.others
+        for hand in search.hands:
+            if hand.line is not None:
+                common &= hand.line
+        return common or search.others
 
 
-def _fewer(first: int | None, second: int) -> int:
-    return second if first is None or second.bit_count() < first.bit_count() else first
+def _fewest(masks: Sequence[int]) -> int:
+    """The first of the masks with the fewest parts."""
+    return min(masks, key=int.bit_count, default=0)
 
 
 def tool_length(tool_path: Array) -> float:

@@ -7,23 +7,25 @@ the part along each. In any state, whatever has a mask that shares no part with 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from takeapart.assembly import Assembly
-from takeapart.geometry import Array, pose_inverse
-from takeapart.motion.edges import lift_branches, new_scene
-from takeapart.motion.legs import mark_line
-from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bound
-from takeapart.removal.masks import flags_of, state_of
+from takeapart.geometry import Array
+from takeapart.motion.lifts import complete_lifts, lift_ends
+from takeapart.motion.scene import Scene, new_scene
+from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bounds
+from takeapart.removal.masks import flags_of, states_of
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
+from takeapart.robot.hand import hand_masks
 from takeapart.robot.ik import Solver
-from takeapart.robot.kernels import collect_hand, hand_hits_load
-from takeapart.robot.model import RobotModel, moved_load
+from takeapart.robot.model import RobotModel, copied_load, moved_load
 from takeapart.workcell import Workcell
 
-LIFT_SPACINGS = (0.005, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
+LIFT_SPACINGS = (0.01, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,10 @@ class Hand:
         bound: straight up and straight to the goal, m; no removal with this grasp is shorter.
         lifted: (3,) m, the tool's position after the lift.
         radius: of a ball around the tool that is always inside the held part, m.
+        load: fingers, and the part with its own frame for the tool's.
+        T_tool_part: (4, 4).
+        steepness: vertical part of the approach direction, -1 from above: those grasps are the likeliest to be reached.
+        partner: number of the grasp at the same place with the fingers exchanged.
         blockers: parts that hand or lifted part would hit; None if it would hit the part itself or what never leaves.
         line: parts that the ball would hit on the straight line to the goal; None for what never leaves.
     """
@@ -42,9 +48,17 @@ class Hand:
     bound: float
     lifted: Array
     radius: float
-    held: HeldArrays
+    load: HeldArrays
+    T_tool_part: Array
+    steepness: float
+    partner: int | None
     blockers: int | None
     line: int | None
+
+    @cached_property
+    def held(self) -> HeldArrays:
+        """What the gripper carries."""
+        return moved_load(self.load, self.T_tool_part)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +72,23 @@ class LiftBranch:
 
     rows: Array
     blockers: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Lifts:
+    """Lifts with one grasp, of which at first only the ends are looked at.
+
+    Args:
+        rows: (S, L, n) rad.
+        hits: (S, parts + 1) owners that the ends touch.
+        ends: the same as states.
+        branches: those looked at all along; None where a lift is not possible.
+    """
+
+    rows: Array
+    hits: Flags
+    ends: list[int]
+    branches: dict[int, LiftBranch | None]
 
 
 class Reach:
@@ -79,45 +110,79 @@ class Reach:
         step: float,
     ) -> None:
         self._assembly, self._workcell, self._robot, self._ik, self._world = assembly, workcell, robot, ik, world
-        self._padding, self._step = padding, step
-        self._bounds: dict[int, tuple[tuple[float, GraspCandidate], ...]] = {}
+        self._padding, self._step, self._lift = padding, step, workcell.lift_height
         self._loads: dict[tuple[int, float], HeldArrays] = {}
-        self._hands: dict[tuple[int, int], Hand] = {}
-        self._branches: dict[tuple[int, int], tuple[LiftBranch, ...]] = {}
+        self._candidates: dict[int, tuple[GraspCandidate, ...]] = {}
+        self._hands: dict[int, tuple[Hand, ...]] = {}
+        self._solutions: dict[tuple[int, int], Array] = {}  # (S, n) rad
+        self._lifts: dict[tuple[int, int], _Lifts] = {}
 
     def replace_inverse_kinematics(self, ik: Solver) -> None:
         """Solves all further grasps with other inverse kinematics, for experiments."""
         self._ik = ik
 
-    def bounds(self, part: int) -> tuple[tuple[float, GraspCandidate], ...]:
-        """Grasps of a part with their straight-line bounds, m, shortest first."""
-        if part not in self._bounds:
+    def candidates(self, part: int) -> tuple[GraspCandidate, ...]:
+        """Grasps of a part, those with the shortest straight-line bound first."""
+        if part not in self._candidates:
             body, cell = self._assembly.parts[part], self._workcell
             found = grasp_candidates(body, cell.description.maximum_opening)
-            bounded = [(straight_line_bound(body, grasp, cell.lift_height, cell.goal), grasp) for grasp in found]
-            self._bounds[part] = tuple(sorted(bounded, key=lambda pair: pair[0]))
-        return self._bounds[part]
+            bounds = straight_line_bounds(body, found, cell.lift_height, cell.goal)
+            self._candidates[part] = tuple(found[k] for k in np.argsort(bounds, kind="stable"))
+        return self._candidates[part]
 
-    def from_above(self, part: int, number: int) -> float:
-        """Vertical part of a grasp's approach direction, -1 for one from above: those are the likeliest to be
-        reached.
+    def bound(self, part: int) -> float:
+        """The least straight-line bound of any grasp, m; infinite if the part cannot be gripped."""
+        first = self.candidates(part)[:1]
+        bounds = straight_line_bounds(self._assembly.parts[part], first, self._lift, self._workcell.goal)
+        return float(bounds.min(initial=math.inf))
+
+    def hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
+        """All grasps in the order of `candidates`, as far as the hand decides them."""
+        if part not in self._hands:
+            self._hands[part] = self._solve_hands(part, work)
+        return self._hands[part]
+
+    def branches(self, part: int, number: int, others: int, work: Workspace) -> tuple[LiftBranch, ...]:
+        """The arm's ways to hold and lift the part with a grasp, by its number in the order of `hands`, that are free
+        where certain other parts stand around.
         """
-        T = self._assembly.parts[part].T_world_part @ self.bounds(part)[number][1].T_part_tool
-        return round(float(T[2, 2]), 6)
-
-    def hand(self, part: int, number: int, work: Workspace) -> Hand:
-        """Grasp `number` in the order of `bounds`, as far as the hand decides it."""
         key = (part, number)
-        if key not in self._hands:
-            self._hands[key] = self._solve_hand(part, *self.bounds(part)[number], work)
-        return self._hands[key]
+        if key not in self._lifts:
+            self._lifts[key] = self._solve_lifts(part, number, self._solutions_of(part, number, work), work)
+        lifts = self._lifts[key]
+        chosen = [s for s, lift in enumerate(lifts.ends) if not lift & others]
+        unknown = [s for s in chosen if s not in lifts.branches]
+        if unknown:
+            self._complete(part, number, lifts, unknown, work)
+        found = [lifts.branches[s] for s in chosen]
+        return tuple(branch for branch in found if branch is not None and not branch.blockers & others)
 
-    def branches(self, part: int, number: int, work: Workspace) -> tuple[LiftBranch, ...]:
-        """The arm's ways to hold and lift the part with grasp `number`."""
+    def in_the_way(self, part: int, number: int, others: int, work: Workspace) -> list[int]:
+        """Per way to hold and lift the part: those of the other parts that are in its way, as far as that is known."""
+        self.branches(part, number, others, work)
+        lifts = self._lifts[part, number]
+        masks = []
+        for s, ends in enumerate(lifts.ends):
+            branch = lifts.branches.get(s)
+            if s not in lifts.branches or branch is not None:
+                masks.append((ends if branch is None else branch.blockers) & others)
+        return masks
+
+    def _solutions_of(self, part: int, number: int, work: Workspace) -> Array:
         key = (part, number)
-        if key not in self._branches:
-            self._branches[key] = self._solve_branches(part, self.hand(part, number, work), work)
-        return self._branches[key]
+        if key not in self._solutions:
+            hands = self.hands(part, work)
+            T = self._assembly.parts[part].T_world_part @ hands[number].candidate.T_part_tool
+            partner = hands[number].partner
+            if partner is None or hands[partner].blockers is None:
+                self._solutions[key] = self._ik.solve(T)
+            else:  # the other finger order costs no inverse kinematics of its own
+                if partner < number:  # always from the first of the two, whichever is asked for first
+                    T[:3, :2] *= -1
+                both = self._ik.solve_both(T)
+                for k, found in zip(sorted((number, partner)), both, strict=True):
+                    self._solutions[part, k] = found
+        return self._solutions[key]
 
     def _load(self, part: int, width: float) -> HeldArrays:
         """Fingers at an opening, and the part with its own frame for the tool's."""
@@ -127,46 +192,110 @@ class Reach:
             self._loads[key] = self._robot.held(width, np.eye(4), self._assembly.body(part), gripped)
         return self._loads[key]
 
-    def _solve_hand(self, part: int, bound: float, candidate: GraspCandidate, work: Workspace) -> Hand:
-        parts = len(self._assembly.parts)
-        T_world_part = self._assembly.parts[part].T_world_part
-        T_tool_part = pose_inverse(candidate.T_part_tool)
-        held = moved_load(self._load(part, candidate.width), T_tool_part)
-        start = np.ascontiguousarray(T_world_part @ candidate.T_part_tool)
-        end = start.copy()
-        end[2, 3] += self._workcell.lift_height
-        extents = np.sort(self._assembly.parts[part].shape.bounding_box().half_extents)
-        radius = float(extents[0])
-        blockers: int | None = None
-        line: int | None = None
-        everything = flags_of(self._assembly.root & ~(1 << part), parts)
-        hits = np.zeros(parts + 1, dtype=np.uint8)
-        for pose, load in ((start, held._replace(meets_world=_fingers_only(held))), (end, held)):
-            collect_hand(self._robot.arm, load, self._world, everything, self._padding, pose, work, hits)
-        if not hits[parts] and not hand_hits_load(self._robot.arm, held, self._workcell.clearance, work):
-            blockers = state_of(hits)
-        hits[:] = 0
-        mark_line(self._world, end[:3, 3].copy(), self._workcell.goal, radius, hits)
-        hits[part] = 0
-        line = None if hits[parts] else state_of(hits)
-        return Hand(candidate, bound, end[:3, 3].copy(), radius, held, blockers, line)
+    def forget(self) -> None:
+        """Starts anew with grasps and lifts; the shapes of parts and fingers stay."""
+        for known in (self._candidates, self._hands, self._solutions, self._lifts):
+            known.clear()
 
-    def _solve_branches(self, part: int, hand: Hand, work: Workspace) -> tuple[LiftBranch, ...]:
-        solutions = self._ik.solve(self._assembly.parts[part].T_world_part @ hand.candidate.T_part_tool)
-        count, joints, parts = len(solutions), self._robot.joints, len(self._assembly.parts)
-        if not count:
+    def _solve_hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
+        body, parts = self._assembly.parts[part], len(self._assembly.parts)
+        candidates = self.candidates(part)
+        if not candidates:
             return ()
+        poses = np.array([candidate.T_part_tool for candidate in candidates])
+        starts = np.ascontiguousarray(body.T_world_part @ poses)
+        inverses = np.ascontiguousarray(np.linalg.inv(poses))
+        bounds = straight_line_bounds(body, candidates, self._lift, self._workcell.goal)
+        radius = float(body.shape.bounding_box().half_extents.min())
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
-        carrying = new_scene(self._robot.arm, hand.held, self._world, everything, self._padding, work)
-        lifting = carrying._replace(held=hand.held._replace(meets_world=_fingers_only(hand.held)))
+        hits = np.zeros((len(candidates), parts + 1), dtype=np.uint8)
+        lines = np.zeros_like(hits)
+        widths = np.array([candidate.width for candidate in candidates])
+        loads = {width: self._load(part, width) for width in np.unique(widths).tolist()}
+        for width, load in loads.items():
+            chosen = widths == width
+            some_hits, some_lines = hits[chosen], lines[chosen]
+            hand_masks(
+                self._robot.arm,
+                load,
+                self._world,
+                everything,
+                self._padding,
+                self._workcell.clearance,
+                self._lift,
+                starts[chosen],
+                inverses[chosen],
+                self._workcell.goal,
+                radius,
+                copied_load(load),
+                work,
+                some_hits,
+                some_lines,
+            )
+            hits[chosen], lines[chosen] = some_hits, some_lines
+        lines[:, part] = 0
+        lifted = starts[:, :3, 3] + [0.0, 0.0, self._lift]
+        same_place = np.abs(np.diff(poses[:, :3, 2:], axis=0)).max(axis=(1, 2)) < 1e-9
+        exchanged = same_place & (np.abs(poses[1:, :3, 1] + poses[:-1, :3, 1]).max(axis=1) < 1e-9)
+        partners: list[int | None] = [None] * len(candidates)
+        for k in np.nonzero(exchanged)[0].tolist():
+            partners[k], partners[k + 1] = k + 1, k
+        states, line_states = states_of(hits), states_of(lines)
+        return tuple(
+            Hand(
+                candidate,
+                bound,
+                lifted[k],
+                radius,
+                loads[candidate.width],
+                inverses[k],
+                steepness,
+                partners[k],
+                None if stuck else states[k],
+                None if walled else line_states[k],
+            )
+            for k, (candidate, bound, steepness, stuck, walled) in enumerate(
+                zip(
+                    candidates,
+                    bounds.tolist(),
+                    starts[:, 2, 2].tolist(),
+                    hits[:, parts].tolist(),
+                    lines[:, parts].tolist(),
+                    strict=True,
+                )
+            )
+        )
+
+    def _scenes(self, part: int, number: int, work: Workspace) -> tuple[Scene, Scene]:
+        """The situation while the part leaves its place, where it touches its neighbours, and once it is lifted."""
+        held = self.hands(part, work)[number].held
+        everything = flags_of(self._assembly.root & ~(1 << part), len(self._assembly.parts))
+        carrying = new_scene(self._robot.arm, held, self._world, everything, self._padding, self._step, work)
+        return carrying._replace(held=held._replace(meets_world=_fingers_only(held))), carrying
+
+    def _solve_lifts(self, part: int, number: int, solutions: Array, work: Workspace) -> _Lifts:
+        count, parts = len(solutions), len(self._assembly.parts)
+        if not count:
+            return _Lifts(np.empty((0, 0, 0)), np.empty((0, 0), dtype=np.uint8), [], {})
+        lifting, carrying = self._scenes(part, number, work)
         for spacing in LIFT_SPACINGS:  # near a singularity the joints turn fast: only close rows keep the lift straight
-            rows = np.empty((count, round(np.ceil(self._workcell.lift_height / spacing)) + 1, joints))
+            rows = np.empty((count, round(np.ceil(self._lift / spacing)) + 1, self._robot.joints))
             hits = np.zeros((count, parts + 1), dtype=np.uint8)
             good = np.zeros(count, dtype=np.uint8)
-            lift_branches(lifting, carrying, solutions, self._workcell.lift_height, self._step, rows, hits, good)
+            lift_ends(lifting, carrying, solutions, self._lift, rows, hits, good)
             if good.any():
                 break
-        return tuple(LiftBranch(rows[s].copy(), state_of(hits[s])) for s in np.nonzero(good)[0])
+        chosen = np.nonzero(good)[0]
+        return _Lifts(rows[chosen], hits[chosen], states_of(hits[chosen]), {})
+
+    def _complete(self, part: int, number: int, lifts: _Lifts, chosen: list[int], work: Workspace) -> None:
+        """Looks at what is between the ends of some lifts."""
+        lifting, _ = self._scenes(part, number, work)
+        rows, hits = np.ascontiguousarray(lifts.rows[chosen]), lifts.hits[chosen]
+        good = np.zeros(len(chosen), dtype=np.uint8)
+        complete_lifts(lifting, rows, hits, good)
+        for s, lifted, state, fine in zip(chosen, rows, states_of(hits), good, strict=True):
+            lifts.branches[s] = LiftBranch(lifted, state) if fine else None
 
 
 def _fingers_only(held: HeldArrays) -> Flags:

@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 Flags = NDArray[np.uint8]
 Indices = NDArray[np.int64]
+Counters = NDArray[np.uint64]  # without a sign, compiled loops need not look for negative indices and vectorise
 RandomState = NDArray[np.uint64]  # (1,) state of a random generator
 
 
@@ -30,9 +31,12 @@ class ArmArrays(NamedTuple):
     lower: Floats  # (n,) rad
     upper: Floats  # (n,) rad
     sphere_center: Floats  # (S, 3) m, in the frame of the link that carries it
+    sphere_x: Floats  # (S,) m, the same by coordinates: loops over them vectorise
+    sphere_y: Floats  # (S,)
+    sphere_z: Floats  # (S,)
     sphere_radius: Floats  # (S,) m
-    body_start: Integers  # (B + 1,) spheres of body b are body_start[b] .. body_start[b + 1]
-    body_frame: Integers  # (B,) joint frame that the body moves with; 0 is the base
+    body_start: Counters  # (B + 1,) spheres of body b are body_start[b] .. body_start[b + 1]
+    body_frame: Counters  # (B,) joint frame that the body moves with; 0 is the base
     body_center: Floats  # (B, 3) m, a ball around the whole body
     body_radius: Floats  # (B,) m
     self_pairs: Integers  # (P, 2) bodies that may touch each other
@@ -51,8 +55,10 @@ class HeldArrays(NamedTuple):
     probe_box: Integers  # (C,) box that the sphere belongs to
     group: Integers  # (3,) boxes group[0] .. group[1] are the fingers, group[1] .. group[2] the part
     first_wall: int  # boxes from here on are walls of connectors: the fingers may not touch them
-    group_center: Floats  # (2, 3) m, a ball around each group, tool frame
-    group_radius: Floats  # (2,) m
+    group_center: Floats  # (2, 3) m, middle of a box around each group, tool frame
+    group_axes: Floats  # (2, 3, 3) rows are its axes in the tool frame
+    group_half: Floats  # (2, 3) m
+    group_radius: Floats  # (2,) m, of a ball around it
 
 
 class WorldArrays(NamedTuple):
@@ -64,6 +70,7 @@ class WorldArrays(NamedTuple):
     owner: Integers  # (W,) part number; the number of parts stands for everything that never leaves
     origin: Floats  # (3,) m, corner of the grid
     cell: float  # m
+    per_cell: float  # 1 / cell, 1/m
     shape: Integers  # (3,) cells along x, y, z
     row_radius: Floats  # (K,) m, ascending; row k of the grid serves balls of at most this radius
     start: Integers  # (K, cells + 1) per row: where the entries of a cell start
@@ -79,7 +86,18 @@ class Workspace(NamedTuple):
     R_tool: Floats  # (3, 3)
     p_tool: Floats  # (3,)
     body: Floats  # (B, 3) centres of the balls around the bodies in the world
-    box_center: Floats  # (H, 3) held boxes in the world
+    x: Floats  # (S,) centres of the arm's spheres in the world
+    y: Floats  # (S,)
+    z: Floats  # (S,)
+    margin: Floats  # (B,) m, how far the bodies move in the motion that is looked at
+    rho: Floats  # (n,) m, greatest distance of anything from each axis during it
+    omega: Floats  # (n + 1, 3) rad, turn of every frame, to first order
+    velocity: Floats  # (n + 1, 3) m, motion of every frame's origin, to first order
+    second: Floats  # (n + 1,) m, what the motion of anything in a frame can differ from first order
+    group_margin: Floats  # (2,) m, as `margin`, for fingers and part
+    group: Floats  # (2, 3) middles of the boxes around fingers and part in the world
+    group_axes: Floats  # (2, 3, 3) their axes, where something came near them
+    box_center: Floats  # (H, 3) held boxes in the world, where something came near them
     box_axes: Floats  # (H, 3, 3)
 
 
@@ -92,6 +110,17 @@ def workspace(arm: ArmArrays, boxes: int) -> Workspace:
         np.zeros((3, 3)),
         np.zeros(3),
         np.zeros((len(arm.body_frame), 3)),
+        np.zeros(len(arm.sphere_radius)),
+        np.zeros(len(arm.sphere_radius)),
+        np.zeros(len(arm.sphere_radius)),
+        np.zeros(len(arm.body_frame)),
+        np.zeros(n),
+        np.zeros((n + 1, 3)),
+        np.zeros((n + 1, 3)),
+        np.zeros(n + 1),
+        np.zeros(2),
+        np.zeros((2, 3)),
+        np.zeros((2, 3, 3)),
         np.zeros((boxes, 3)),
         np.zeros((boxes, 3, 3)),
     )

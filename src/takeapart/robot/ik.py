@@ -12,6 +12,8 @@ from takeapart.errors import MissingExtraError
 from takeapart.geometry import Array, pose_inverse
 from takeapart.robot.model import RobotModel
 
+NEARLY = 0.1  # rad; where no solution is inside the limits but one so near to them, it is looked for more closely
+
 
 class Solver(Protocol):
     """What the planner asks of inverse kinematics."""
@@ -20,12 +22,17 @@ class Solver(Protocol):
         """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""
         ...
 
+    def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
+        """As `solve`, for a pose and for the same pose turned by half a turn about the tool's approach direction."""
+        ...
+
 
 class InverseKinematics:
     """Configurations that put the tool at a pose.
 
-    A redundant arm has a continuum of them; the library samples it (on average about 26 configurations for the Panda),
-    `docs/benchmarks.md` says what that loses.
+    A redundant arm has a continuum of them; the library samples it, and searches the intervals inside the joint limits
+    closely where the samples miss them (on average about 7 configurations for the Panda). `docs/benchmarks.md` says
+    what that loses.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -35,10 +42,38 @@ class InverseKinematics:
             raise MissingExtraError("inverse kinematics", "", "ssik") from error
         self._T_base_world = pose_inverse(robot.T_world_base)
         self._T_tool_flange = pose_inverse(robot.T_flange_tool)
-        self._joints = robot.joints
+        self._lower, self._upper = robot.arm.lower, robot.arm.upper
+        T_tool = robot.arm.T_tool
+        # Whether the last joint turns the tool about its own approach direction: both finger orders are then one.
+        self._turns_on_the_spot = bool(np.allclose(T_tool[:2, 3], 0, atol=1e-9) and np.isclose(T_tool[2, 2], 1))
 
     def solve(self, T_world_tool: Array) -> Array:
         """All solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""
-        T = self._T_base_world @ T_world_tool @ self._T_tool_flange
-        found = self._solver.solve(T, allow_rescue=False)
-        return np.array([solution.q for solution in found]).reshape(-1, self._joints)
+        return self._within_limits(self._sampled(T_world_tool), T_world_tool)
+
+    def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
+        """As `solve`, for a pose and for the same pose turned by half a turn about the tool's approach direction."""
+        turned = T_world_tool.copy()
+        turned[:3, :2] *= -1
+        if not self._turns_on_the_spot:
+            return self.solve(T_world_tool), self.solve(turned)
+        found = self._sampled(T_world_tool)
+        other = found.copy()
+        other[:, -1] += np.where(other[:, -1] > 0, -np.pi, np.pi)
+        return self._within_limits(found, T_world_tool), self._within_limits(other, turned)
+
+    def _sampled(self, T_world_tool: Array) -> Array:
+        """Solutions (S, n), rad, inside the limits or not."""
+        found = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False, respect_limits="wrap")
+        return np.array([solution.q for solution in found]).reshape(-1, len(self._lower))
+
+    def _within_limits(self, found: Array, T_world_tool: Array) -> Array:
+        beyond = np.maximum(self._lower - found, found - self._upper).max(axis=1, initial=-np.inf)
+        if len(found) and 0 < beyond.min() < NEARLY:
+            closely = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False)
+            return np.array([solution.q for solution in closely]).reshape(-1, len(self._lower))
+        return np.ascontiguousarray(found[beyond <= 0])
+
+    def _to_flange(self, T_world_tool: Array) -> Array:
+        T: Array = self._T_base_world @ T_world_tool @ self._T_tool_flange
+        return T

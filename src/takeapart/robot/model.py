@@ -17,7 +17,8 @@ from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox, pose_inverse
 from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
 from takeapart.robot.cover import SphereCover, sphere_cover
-from takeapart.robot.kernels import forward
+from takeapart.robot.hand import move_load
+from takeapart.robot.kinematics import forward
 from takeapart.workcell import RobotDescription, Workcell
 
 BASE_INFLATION, ARM_INFLATION, WRIST_INFLATION, HAND_INFLATION = 0.03, 0.025, 0.02, 0.015  # m
@@ -94,7 +95,7 @@ class RobotModel:
         fingers = self.finger_boxes(opening)
         part = [box.moved(T_tool_part) for box in body] if T_tool_part is not None else []
         boxes = fingers + part
-        balls = [_ball_around(fingers), _ball_around(part)]
+        groups = [_box_around(fingers), _box_around(part)]
         probes = [(center, radius, h) for h, box in enumerate(boxes) for center, radius in _probes(box)]
         return HeldArrays(
             center=np.array([box.T_frame_box[:3, 3] for box in boxes]),
@@ -106,36 +107,41 @@ class RobotModel:
             probe_box=np.array([h for _, _, h in probes], dtype=np.int32),
             group=np.array([0, len(fingers), len(boxes)], dtype=np.int32),
             first_wall=len(fingers) + gripped,
-            group_center=np.array([center for center, _ in balls]),
-            group_radius=np.array([radius for _, radius in balls]),
+            group_center=np.array([box.T_frame_box[:3, 3] for box in groups]),
+            group_axes=np.ascontiguousarray([box.T_frame_box[:3, :3].T for box in groups]),
+            group_half=np.array([box.half_extents for box in groups]),
+            group_radius=np.array([np.linalg.norm(box.half_extents) for box in groups]),
         )
 
 
 def moved_load(held: HeldArrays, T: Array) -> HeldArrays:
     """The same load with its part (not its fingers) moved by a pose (4, 4) in the tool frame."""
-    first = held.group[1]
-    R, t = T[:3, :3], T[:3, 3]
-    center, axes, probe, group = (
-        held.center.copy(),
-        held.axes.copy(),
-        held.probe_center.copy(),
-        held.group_center.copy(),
+    moved = copied_load(held)
+    move_load(held, np.ascontiguousarray(T), moved)
+    return moved
+
+
+def copied_load(held: HeldArrays) -> HeldArrays:
+    """A load with arrays of its own for all that differs from grasp to grasp."""
+    return held._replace(
+        center=held.center.copy(),
+        axes=held.axes.copy(),
+        meets_world=held.meets_world.copy(),
+        probe_center=held.probe_center.copy(),
+        group_center=held.group_center.copy(),
+        group_axes=held.group_axes.copy(),
     )
-    center[first:] = center[first:] @ R.T + t
-    axes[first:] = axes[first:] @ R.T
-    of_part = held.probe_box >= first
-    probe[of_part] = probe[of_part] @ R.T + t
-    group[1] = R @ group[1] + t
-    return held._replace(center=center, axes=axes, probe_center=probe, group_center=group)
 
 
-def _ball_around(boxes: Sequence[OrientedBox]) -> tuple[Array, float]:
-    """A ball that contains all boxes: centre (3,) and radius, m."""
+def _box_around(boxes: Sequence[OrientedBox]) -> OrientedBox:
+    """A box that contains all boxes, with the axes of the first of them; without any, nothing at the tool's origin."""
     if not boxes:
-        return np.zeros(3), 0.0
-    corners = np.concatenate([box.corners() for box in boxes])
-    middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    return middle, float(np.linalg.norm(corners - middle, axis=1).max()) + 1e-9
+        return OrientedBox(np.eye(4), np.full(3, 1e-9))
+    T = boxes[0].T_frame_box.copy()
+    corners = np.concatenate([box.corners() for box in boxes]) @ T[:3, :3]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    T[:3, 3] = T[:3, :3] @ ((low + high) / 2)
+    return OrientedBox(T, (high - low) / 2 + 1e-9)
 
 
 def _probes(box: OrientedBox) -> list[tuple[Array, float]]:
@@ -193,10 +199,13 @@ def load_robot(workcell: Workcell) -> RobotModel:
         T_tool=np.ascontiguousarray((T_last_flange @ T_flange_hand @ T_hand_tool)[:3]),
         lower=np.array(lower),
         upper=np.array(upper),
-        sphere_center=np.concatenate(centers),
+        sphere_center=(spheres := np.concatenate(centers)),
+        sphere_x=spheres[:, 0].copy(),
+        sphere_y=spheres[:, 1].copy(),
+        sphere_z=spheres[:, 2].copy(),
         sphere_radius=radii,
-        body_start=np.cumsum([0, *[len(c) for c in centers]]).astype(np.int32),
-        body_frame=np.array(frames, dtype=np.int32),
+        body_start=np.cumsum([0, *[len(c) for c in centers]]).astype(np.uint64),
+        body_frame=np.array(frames, dtype=np.uint64),
         body_center=np.array([center for center, _ in balls]),
         body_radius=np.array([radius for _, radius in balls]),
         self_pairs=np.array(pairs, dtype=np.int32).reshape(-1, 2),

@@ -8,7 +8,7 @@ import numpy as np
 
 from takeapart.geometry import OrientedBox
 from takeapart.robot.arrays import Flags, WorldArrays
-from takeapart.robot.kernels import clearance_fields, grid_fill
+from takeapart.robot.grid import clearance_fields, grid_fill
 
 CELL = 0.03  # m
 ROW_RADII = (0.02, 0.04, 0.06, 0.09, 0.14, 0.25)  # m
@@ -51,7 +51,8 @@ def build_world(boxes: Sequence[tuple[OrientedBox, int]], largest: float = 0.25)
         entries.append(entry)
         total += found
     field = np.zeros(cells, dtype=np.uint8)  # claims nothing until `with_field`
-    return WorldArrays(center, axes, half, owner, origin, cell, shape, rows, start, np.concatenate(entries), field)
+    entry = np.concatenate(entries)
+    return WorldArrays(center, axes, half, owner, origin, cell, 1.0 / cell, shape, rows, start, entry, field)
 
 
 def owner_fields(world: WorldArrays, owners: int) -> Flags:

@@ -100,17 +100,21 @@ def greedy(
     budget: Budget,
     rng: np.random.Generator,
     listen: ProgressListener | None = None,
+    guide: Guide | None = None,
 ) -> SearchResult:
     """In every state the part with the shortest removal goes first; asks for all candidates; ties at random.
 
+    With a guide the part with the greatest Q-value goes first, and candidates are asked one by one until one can leave.
     Steps back from dead ends; infeasibility is told as by `random_order`.
     """
     log = Logbook(problem, budget, listen)
+    drawn = _random_successors(log, options, rng)
 
-    def successors(state: int) -> Iterator[Removal]:
+    def shortest_first(state: int) -> Iterator[Removal]:
         # Random successors before a stable sort: equal lengths in random order.
-        return iter(sorted(_random_successors(log, options, rng)(state), key=lambda removal: removal.length))
+        return iter(sorted(drawn(state), key=lambda removal: removal.length))
 
+    successors = shortest_first if guide is None else _random_successors(log, options, rng, guide)
     return _run(log, lambda: _depth_first(log, successors, options.monotone))
 
 
@@ -174,14 +178,21 @@ def _run(log: Logbook, search: Callable[[], None], settle: Callable[[], float | 
     return log.result(interrupted, bound)
 
 
-def _random_successors(log: Logbook, options: OrderOptions, rng: np.random.Generator) -> Successors:
+def _random_successors(
+    log: Logbook, options: OrderOptions, rng: np.random.Generator, guide: Guide | None = None
+) -> Successors:
+    """In random order; with a guide, those with the greatest Q-value first, and ties at random."""
     effort = Effort(attempts=options.attempts)
 
     def successors(state: int) -> Iterator[Removal]:
-        candidates = list(log.problem.candidates(state))
+        found = log.problem.candidates(state)
+        candidates = [found[int(place)] for place in rng.permutation(len(found))]
+        if guide is not None:
+            values = guide([state])[0]
+            candidates.sort(key=lambda part: -values[part])
         refusals = []
-        for place in rng.permutation(len(candidates)):
-            answer = log.ask(state, candidates[int(place)], effort)
+        for part in candidates:
+            answer = log.ask(state, part, effort)
             if isinstance(answer, Removal):
                 yield answer
             else:

@@ -20,6 +20,7 @@ What the numbers are:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from takeapart.errors import InputError
@@ -34,6 +35,10 @@ from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 
 MANY_STATES = 500_000
+
+SettledObserver = Callable[[int, int, float, int, Sequence[int], float, float], None]
+"""Called as a `TransitionObserver`, then with the least and the greatest length, m, that the shortest sequence may have
+that begins with the removal; they are equal where it is known."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,7 @@ def exact(
     listen: ProgressListener | None = None,
     guide: Guide | None = None,
     observe: TransitionObserver | None = None,
+    observe_settled: SettledObserver | None = None,
 ) -> SearchResult:
     """The best order of parts, and the proof of it, for the edge costs that the removal planner finds.
 
@@ -88,6 +94,7 @@ def exact(
             `static_lower(part)` and `hindered_by` (see `enumerate_states`).
         budget: an episode is a round.
         guide: leads the first descent, and says which of several unknown edges is asked first.
+        observe_settled: is told in the end the known removals in all states of which the cost to the goal is known.
 
     Returns:
         best sequence, its length and `sequence_bound`; where there is no order, the statistic "infeasible" 1 and the
@@ -112,6 +119,10 @@ def exact(
         except KeyboardInterrupt:
             interrupted = True
     search.settle()
+    if observe_settled is not None:
+        for row, edge, part, cost, least, most in search.sequences.settled_edges():
+            state, following = lattice.state(row), lattice.state(int(lattice.child[edge]))
+            observe_settled(state, part, -cost, following, problem.candidates(following), least, most)
     return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
 
 

@@ -9,7 +9,7 @@ are computed afresh.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -169,6 +169,26 @@ class SequenceBounds:
                 if len(found) == limit:
                     break
         return found
+
+    def settled_edges(self) -> Iterator[tuple[int, int, int, float, float, float]]:
+        """Known removals from all states, pruned ones too, of which the least cost to the goal is known.
+
+        Yields:
+            row, edge, part; cost of the edge; and the least and the greatest length that the shortest sequence
+            beginning with it may have, m.
+        """
+        lattice = self._lattice
+        through = []
+        for cost in (self._edges.lower, self._edges.upper):
+            to_go = np.zeros(len(lattice.states))
+            cost_to_go(lattice.first_edge, lattice.child, cost, self._all_rows, to_go)
+            through.append((cost + to_go[lattice.child], to_go))
+        (least, least_to_go), (most, most_to_go) = through
+        for row in np.nonzero(np.isfinite(most_to_go) & (most_to_go <= least_to_go + TOLERANCE))[0]:
+            for edge in lattice.edges(int(row)):
+                if math.isfinite(most[edge]):
+                    length = float(self._edges.upper[edge])
+                    yield int(row), edge, lattice.part(edge), length, float(least[edge]), float(most[edge])
 
     def _from_root(self, rows: NDArray[np.int32]) -> Values:
         value = np.full(len(self._lattice.states), math.inf)

@@ -1,0 +1,177 @@
+"""Jobs of an experiment: pure functions from options and files to numbers and files.
+
+A job reads nothing but what it is handed, so it can run in any process, on any machine, and its result can be kept: it
+is worth as much as its key, a digest of everything that shapes it.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import takeapart
+from takeapart.documents import canonical_json
+from takeapart.errors import InputError
+
+Outcome = dict[str, Any]
+"""What a job found, as JSON holds it."""
+
+Files = Mapping[str, bytes]
+"""Contents by path below the folder of a job."""
+
+# Code that shapes no result: everything else in the package is taken to do so. A name stands for all that starts so.
+SHAPING_NOTHING = (
+    "__",
+    "benchmarks",
+    "cli",
+    "compilation",
+    "experiments",
+    "export",
+    "messages",
+    "profile",
+    "render",
+    "report",
+    "run",
+    "verification",
+    "viewer",
+)
+SHAPING_EXPERIMENTS = ("beyond_tasks", "paper_tasks")
+
+
+class Task(Protocol):
+    """The work of a job. Can be pickled."""
+
+    @property
+    def cost(self) -> float:
+        """Rough amount of work, for estimates of the time left; comparable among tasks of one class."""
+        ...
+
+    def identity(self) -> Outcome:
+        """All options and the hashes of all data, as JSON holds them."""
+        ...
+
+    def run(self, needed: Mapping[str, Path], out: Path) -> Outcome:
+        """Do the work.
+
+        Args:
+            needed: folder with the files of every job that this one needs.
+            out: folder for files of its own.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """A task with a name, and the names of the jobs whose files it needs."""
+
+    name: str
+    task: Task
+    needs: tuple[str, ...] = ()
+
+    @property
+    def phase(self) -> str:
+        """What the name says before the first slash."""
+        return self.name.partition("/")[0]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Result of a job.
+
+    Args:
+        outcome: numbers.
+        files: it wrote.
+        seconds: wall time, s.
+        processor_seconds: s.
+    """
+
+    outcome: Outcome
+    files: Files
+    seconds: float
+    processor_seconds: float
+
+
+def perform(task: Task, needed: Mapping[str, Files]) -> Answer:
+    """Runs a task in a folder of its own, here and now."""
+    started, used = time.perf_counter(), time.process_time()
+    with tempfile.TemporaryDirectory(prefix="takeapart-") as folder:
+        root = Path(folder)
+        out = root / "out"
+        out.mkdir()
+        folders: dict[str, Path] = {}
+        for number, (name, files) in enumerate(needed.items()):
+            folders[name] = root / f"needed-{number}"
+            write_files(folders[name], files)
+        outcome = task.run(folders, out)
+        files = read_files(out)
+    return Answer(outcome, files, time.perf_counter() - started, time.process_time() - used)
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """All files in a folder and below, by their path from there."""
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def write_files(folder: Path, files: Files) -> None:
+    """The opposite of `read_files`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+
+
+def job_keys(jobs: Sequence[Job]) -> dict[str, str]:
+    """For each job the digest of all that shapes its result: options, data, versions, code, and the jobs it needs.
+
+    Args:
+        jobs: each after those that it needs.
+
+    Raises:
+        InputError: a name stands twice, or a job needs one that does not stand before it.
+    """
+    from takeapart.planning import versions  # here, so that worker processes of light tasks start at once
+
+    keys: dict[str, str] = {}
+    for job in jobs:
+        missing = [name for name in job.needs if name not in keys]
+        if job.name in keys or missing:
+            cause = f"needs {', '.join(missing)}, which must stand before it" if missing else "stands twice"
+            raise InputError(cause, f"job {job.name}")
+        described = {
+            "task": type(job.task).__name__,
+            "identity": job.task.identity(),
+            "versions": versions(),
+            "sources": sources_digest(),
+            "needs": {name: keys[name] for name in job.needs},
+        }
+        keys[job.name] = hashlib.sha256(canonical_json(described).encode()).hexdigest()
+    return keys
+
+
+@cache
+def sources_digest(package: Path = Path(takeapart.__file__).parent) -> str:
+    """Digest of the code that shapes results. Comments, docstrings and layout are not in it."""
+    digest = hashlib.sha256()
+    for path in _shaping_files(package):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, False):
+                node.body = node.body[1:]
+        digest.update(f"{path.relative_to(package).as_posix()}\n{ast.dump(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+def _shaping_files(package: Path) -> Iterator[Path]:
+    for path in sorted(package.rglob("*.py")):
+        if not path.relative_to(package).parts[0].startswith(SHAPING_NOTHING):
+            yield path
+    yield from (package / "experiments" / f"{name}.py" for name in SHAPING_EXPERIMENTS)

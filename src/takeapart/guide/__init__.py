@@ -1,0 +1,1 @@
+"""Learning from earlier plans which part to remove next (Sec. V-C to V-E)."""

@@ -1,0 +1,140 @@
+"""Lifts: the tool moves straight up and keeps its orientation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from takeapart.compilation import compiled, compiled_lean
+from takeapart.motion.blockers import path_blockers
+from takeapart.motion.scene import Scene
+from takeapart.robot.arrays import Flags, Floats
+from takeapart.robot.kernels import collect
+from takeapart.robot.kinematics import forward, jacobian
+
+LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more would bend the line between them
+
+
+@compiled_lean
+def solve_symmetric(A: Floats, x: Floats) -> bool:
+    """Solves A y = x for a positive definite A (m, m), of which the lower triangle is read and overwritten; y
+    replaces x.
+
+    Cholesky's method; False if A is not positive definite.
+    """
+    m = len(x)
+    for i in range(m):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= A[i, k] * A[j, k]
+            if i == j:
+                if total <= 0.0:
+                    return False
+                A[i, i] = math.sqrt(total)
+            else:
+                A[i, j] = total / A[j, j]
+    for i in range(m):
+        for k in range(i):
+            x[i] -= A[i, k] * x[k]
+        x[i] /= A[i, i]
+    for i in range(m - 1, -1, -1):
+        for k in range(i + 1, m):
+            x[i] -= A[k, i] * x[k]
+        x[i] /= A[i, i]
+    return True
+
+
+@compiled
+def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> bool:
+    """Rows (L, n) that lift the tool straight up from q_start, orientation kept, in equal steps; False if the arm
+    cannot.
+
+    Newton's method on all six coordinates, started at the row before, so all rows are on the branch of the first one.
+    """
+    arm, work, J = scene.arm, scene.work, scene.J
+    n, count = len(q_start), len(rows) - 1
+    rows[0] = q_start
+    forward(arm, q_start, work)
+    R0, p0 = work.R_tool.copy(), work.p_tool.copy()
+    e = np.empty(6)
+    A = np.empty((6, 6))
+    for k in range(1, count + 1):
+        q = rows[k]
+        for j in range(n):  # where the two rows before lead to
+            q[j] = rows[k - 1, j] if k == 1 else 2.0 * rows[k - 1, j] - rows[k - 2, j]
+        converged = False
+        for _ in range(8):
+            forward(arm, q, work)
+            R, p = work.R_tool, work.p_tool
+            e[0], e[1], e[2] = p0[0] - p[0], p0[1] - p[1], p0[2] + height * k / count - p[2]
+            # Rotation error as half the sum of the cross products of matching axes.
+            for i in range(3):
+                u, v = (i + 1) % 3, (i + 2) % 3
+                total = 0.0
+                for c in range(3):
+                    total += R[u, c] * R0[v, c] - R[v, c] * R0[u, c]
+                e[3 + i] = 0.5 * total
+            worst = 0.0
+            for i in range(6):
+                worst = max(worst, abs(e[i]))
+            if worst < 1e-9:
+                converged = True
+                break
+            jacobian(work, J)
+            for i in range(6):
+                for m in range(6):
+                    total = 1e-12 if i == m else 0.0
+                    if m > i:
+                        continue  # the lower triangle is enough
+                    for j in range(n):
+                        total += J[i, j] * J[m, j]
+                    A[i, m] = total
+            if not solve_symmetric(A, e):
+                break
+            for j in range(n):
+                for i in range(6):
+                    q[j] += J[i, j] * e[i]
+        if not converged:
+            return False
+        for j in range(n):
+            if q[j] < arm.lower[j] or q[j] > arm.upper[j] or abs(q[j] - rows[k - 1, j]) > LARGEST_LIFT_TURN:
+                return False
+    return True
+
+
+@compiled
+def lift_ends(
+    lifting: Scene, carrying: Scene, starts: Floats, height: float, rows: Floats, hits: Flags, good: Flags
+) -> None:
+    """Lifts from every start configuration (S, n): rows (S, L, n), what the ends of each would hit (S, parts + 1), and
+    which are possible as far as that tells.
+
+    Args:
+        lifting: scene in which the load itself is not checked against the world.
+        carrying: scene in which it is; for the end of the lift.
+        height: m.
+    """
+    last = hits.shape[1] - 1
+    for s in range(len(starts)):
+        good[s] = 0
+        mark = hits[s]
+        mark[:] = 0
+        if not touches(lifting, starts[s], mark) or mark[last] or not lift_rows(lifting, starts[s], height, rows[s]):
+            continue
+        if touches(carrying, rows[s, rows.shape[1] - 1], mark) and not mark[last]:
+            good[s] = 1
+
+
+@compiled_lean
+def touches(scene: Scene, q: Floats, hits: Flags) -> bool:
+    """Marks in `hits` (parts + 1,) every owner that a configuration touches; False if the arm touches itself."""
+    return collect(scene.arm, scene.held, scene.world, scene.present, scene.padding, q, scene.work, hits)
+
+
+@compiled
+def complete_lifts(lifting: Scene, rows: Floats, hits: Flags, good: Flags) -> None:
+    """Adds what lifts with rows (S, L, n) would hit between their ends (S, parts + 1), and says which are possible."""
+    for s in range(len(rows)):
+        good[s] = path_blockers(lifting, rows[s], hits[s])

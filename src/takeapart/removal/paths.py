@@ -1,0 +1,307 @@
+"""Paths from the lifted part to the goal, over all grasps: straight legs first, then trees, then shortening.
+
+One `PathSearch` is one removal query. Grasps are visited in the order of what they could gain, and left as soon as they
+cannot beat the best path found.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from takeapart.geometry import Array
+from takeapart.motion.edges import waypoints
+from takeapart.motion.legs import bends, one_leg, two_legs
+from takeapart.motion.rrt import rrt_connect
+from takeapart.motion.scene import Scene, new_scene
+from takeapart.motion.smooth import shorten
+from takeapart.removal.goals import GoalConfigurations
+from takeapart.removal.reach import LiftBranch, Reach
+from takeapart.robot.arrays import Flags, Workspace, WorldArrays
+from takeapart.robot.kinematics import tool_poses
+from takeapart.robot.model import RobotModel
+
+
+@dataclass(frozen=True)
+class RemovalOptions:
+    """How removals are planned.
+
+    Args:
+        check_step: pieces of motion are proved free, or checked until nothing moves more than this in them, m; see
+            `docs/concepts.md`.
+        lift_check_step: the same for lifts, m; whatever a lift passes by nearer than half of it counts as hit.
+        waypoint_spacing: the tool moves about this from row to row of a path while it is planned, m.
+        row_spacing: nothing moves more than this between the rows of a removal, m.
+        tolerance: a grasp that cannot gain more than this over the best found is not planned, m.
+        straight_attempts: pairs of lifted and goal configuration tried with a straight tool path, per grasp.
+        bend_samples: points drawn at which a path of two straight legs may bend, per grasp position.
+        bend_attempts: tries with the arm to bend there, per grasp.
+        leg_grasps: grasps tried with two legs, per query.
+        tree_iterations: random samples of one RRT-Connect call.
+        tree_stride: length of its edges, rad.
+        tree_goals: goal configurations that trees grow from, the nearest ones.
+        tree_paths: paths that trees find, per query.
+        tree_failures: times that trees may fail, per query; a third of it once there is a path.
+        quick_moves, shortening_moves: moves of the path shortening for every bent path, and for the best ones.
+        finalists: paths that are shortened with all moves.
+        shortening_patience: moves without gain that end it.
+    """
+
+    check_step: float = 0.001
+    lift_check_step: float = 0.004
+    waypoint_spacing: float = 0.05
+    row_spacing: float = 0.016
+    tolerance: float = 0.002
+    straight_attempts: int = 32
+    bend_samples: int = 200
+    bend_attempts: int = 80
+    leg_grasps: int = 8
+    tree_iterations: int = 600
+    tree_stride: float = 0.4
+    tree_goals: int = 24
+    tree_paths: int = 4
+    tree_failures: int = 15
+    quick_moves: int = 24
+    shortening_moves: int = 160
+    finalists: int = 2
+    shortening_patience: int = 48
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A path found for one grasp.
+
+    Args:
+        number: of the grasp, in the order of `Reach.hands`.
+        rows: (M, n), rad, after the lift.
+        length: of their tool path, m.
+        polished: whether it was shortened with all moves, or is straight anyway.
+    """
+
+    number: int
+    rows: Array
+    length: float
+    polished: bool = False
+
+
+class PathSearch:
+    """The paths of one part in one state.
+
+    Args:
+        others: the parts that stand around.
+        present: the same as flags (parts + 1,).
+        world: with the clearance field of that state.
+        padding: distance kept, m.
+        lift: height, m.
+        goal: (3,) m.
+    """
+
+    def __init__(
+        self,
+        options: RemovalOptions,
+        robot: RobotModel,
+        reach: Reach,
+        goals: GoalConfigurations,
+        part: int,
+        others: int,
+        present: Flags,
+        world: WorldArrays,
+        padding: float,
+        lift: float,
+        goal: Array,
+        rng: np.random.Generator,
+        work: Workspace,
+    ) -> None:
+        self.options, self.robot, self.reach, self.goals = options, robot, reach, goals
+        self.part, self.others, self.present, self.world = part, others, present, world
+        self.padding, self.lift, self.goal, self.rng, self.work = padding, lift, goal, rng, work
+        self.hands = reach.hands(part, work)
+        self.motion_plans = 0
+        self._scenes: dict[int, Scene] = {}
+        self._goals: dict[int, Array] = {}
+
+    def open_grasps(self, limit: float) -> list[int]:
+        """Grasps that the hand can take and that can still be shorter than a removal of the limit's length, m."""
+        most = limit - self.options.tolerance
+        return [
+            number
+            for number, hand in enumerate(self.hands)
+            if hand.bound < most and hand.blockers is not None and not hand.blockers & self.others
+        ]
+
+    def branches(self, number: int) -> tuple[LiftBranch, ...]:
+        """The arm's ways to hold and lift the part with a grasp in this state."""
+        return self.reach.branches(self.part, number, self.others, self.work)
+
+    def search(self, open_: list[int], limit: float) -> list[Path]:
+        """Paths with these grasps, the shortest first; each found is shorter than what was known before it.
+
+        Args:
+            limit: only removals shorter than this are of interest, m, lift included.
+        """
+        paths: list[Path] = []
+        for path in self._legs(open_, limit):
+            paths.append(path)
+            limit = min(limit, path.length + self.lift)
+        for path in self._trees(open_, limit):
+            paths.append(path)
+        return sorted(paths, key=lambda path: path.length)
+
+    def polished(self, path: Path) -> Path:
+        """The path after all moves of the shortening."""
+        if path.polished:
+            return path
+        return self._shortened(path, self.options.shortening_moves, math.inf)
+
+    def scene(self, number: int) -> Scene:
+        """The planning situation with a grasp in the hand."""
+        if number not in self._scenes:
+            held = self.hands[number].held
+            self._scenes[number] = new_scene(
+                self.robot.arm, held, self.world, self.present, self.padding, self.options.check_step, self.work
+            )
+        return self._scenes[number]
+
+    def _legs(self, open_: list[int], limit: float) -> Iterator[Path]:
+        """Paths of one or two straight legs, each shorter than the one before; limits in m, lift included."""
+        options, tried = self.options, 0
+        for estimate, number, points in self._estimates(open_, limit):
+            if estimate >= limit - options.tolerance or tried >= options.leg_grasps:
+                return
+            branches = self.branches(number)
+            if not branches:
+                continue
+            tried += 1
+            path = self._leg(number, branches, points, limit - self.lift)
+            if path is not None and path.length + self.lift < limit:
+                yield path
+                limit = path.length + self.lift
+
+    def _estimates(self, open_: list[int], limit: float) -> Iterator[tuple[float, int, Array]]:
+        """Grasps with the least length, m, of a path with at most one bend that a ball could follow, shortest first."""
+        known: dict[tuple[float, ...], Array] = {}
+        longest = limit - self.lift
+        # An entry is a grasp's bound first; when it comes to the front its estimate is made, and it is put back.
+        queue = [(self.hands[n].bound, self.hands[n].steepness, n, False) for n in open_]
+        heapq.heapify(queue)
+        while queue:
+            estimate, steepness, number, estimated = heapq.heappop(queue)
+            hand = self.hands[number]
+            key = tuple(np.round(hand.lifted, 6).tolist())
+            if estimated:
+                yield estimate, number, known[key]
+                continue
+            if key not in known:
+                known[key] = bends(
+                    self.world,
+                    self.present,
+                    hand.lifted,
+                    self.goal,
+                    hand.radius,
+                    self.options.bend_samples,
+                    longest,
+                    self._seed(),
+                )
+            points = known[key]
+            if hand.line is not None and not hand.line & self.others:
+                heapq.heappush(queue, (estimate, steepness, number, True))
+            elif len(points):
+                heapq.heappush(queue, (max(estimate, float(points[0, 3]) + self.lift), steepness, number, True))
+
+    def _leg(self, number: int, branches: tuple[LiftBranch, ...], points: Array, longest: float) -> Path | None:
+        """A path that is straight for the tool, or else one of two straight legs, shortened a little."""
+        self.motion_plans += 1
+        options, hand, scene = self.options, self.hands[number], self.scene(number)
+        lifted = np.array([branch.rows[-1] for branch in branches])
+        if hand.line is not None and not hand.line & self.others:
+            every = self.goals.all(self.work)
+            rows = one_leg(scene, lifted, every, options.straight_attempts, options.waypoint_spacing)
+            if len(rows):
+                return self._path(number, rows, polished=True)
+        goals = self._free_goals(number, lifted)
+        if not len(goals):
+            return None
+        rows = two_legs(
+            scene, lifted, goals, points, options.bend_attempts, longest, options.waypoint_spacing, self._seed()
+        )
+        if not len(rows):
+            return None
+        return self._shortened(self._path(number, rows), options.quick_moves, longest)
+
+    def _trees(self, open_: list[int], limit: float) -> Iterator[Path]:
+        """Paths by RRT-Connect; where few grasps are left they are tried again, with other random numbers."""
+        options = self.options
+        successes = failures = turn = 0
+        usable = self._spread(open_)
+        while usable and successes < options.tree_paths:
+            if failures >= options.tree_failures / (1 if math.isinf(limit) else 3):
+                return
+            number = usable[turn % len(usable)]
+            branches = self.branches(number) if self.hands[number].bound < limit - options.tolerance else ()
+            if not branches:
+                usable.remove(number)
+                continue
+            turn += 1
+            path = self._tree(number, branches, limit - self.lift)
+            if path is None:
+                failures += 1
+                continue
+            successes += 1
+            yield path
+            limit = min(limit, path.length + self.lift)
+
+    def _spread(self, open_: list[int]) -> list[int]:
+        """Grasps from above first, and those with another position or approach than all before them."""
+        first: list[int] = []
+        later: list[int] = []
+        seen: set[tuple[int, ...]] = set()
+        for number in sorted(open_, key=lambda n: (self.hands[n].steepness, n)):
+            T = self.hands[number].candidate.T_part_tool
+            kind = (*np.round(T[:3, 2]).astype(int).tolist(), int(T[:3, 3].sum() // 0.06))
+            (later if kind in seen else first).append(number)
+            seen.add(kind)
+        return first + later
+
+    def _tree(self, number: int, branches: tuple[LiftBranch, ...], longest: float) -> Path | None:
+        """A path by RRT-Connect, shortened a little."""
+        self.motion_plans += 1
+        options, scene = self.options, self.scene(number)
+        lifted = np.array([branch.rows[-1] for branch in branches])
+        goals = self._free_goals(number, lifted)
+        if not len(goals):
+            return None
+        corners = rrt_connect(scene, lifted, goals, options.tree_iterations, options.tree_stride, self._seed())
+        rows = waypoints(scene, corners, options.waypoint_spacing) if len(corners) else corners
+        if not len(rows):
+            return None
+        return self._shortened(self._path(number, rows), options.quick_moves, longest)
+
+    def _free_goals(self, number: int, lifted: Array) -> Array:
+        if number not in self._goals:
+            self._goals[number] = self.goals.free(self.scene(number), lifted, self.work, self.options.tree_goals)
+        return self._goals[number]
+
+    def _shortened(self, path: Path, moves: int, longest: float) -> Path:
+        options = self.options
+        rows = shorten(
+            self.scene(path.number),
+            path.rows,
+            moves,
+            options.waypoint_spacing,
+            longest,
+            options.shortening_patience,
+            self._seed(),
+        )
+        return self._path(path.number, rows, polished=moves >= options.shortening_moves)
+
+    def _path(self, number: int, rows: Array, polished: bool = False) -> Path:
+        positions, rotations = np.empty((len(rows), 3)), np.empty((len(rows), 3, 3))
+        tool_poses(self.robot.arm, rows, self.work, positions, rotations)
+        return Path(number, rows, float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), polished)
+
+    def _seed(self) -> int:
+        return int(self.rng.integers(1 << 62))

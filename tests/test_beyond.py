@@ -1,0 +1,88 @@
+"""Searches with and without a guide at equal removal queries."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from small_assemblies import WORKCELL, three_bars, two_bars
+from takeapart.errors import InputError, UnknownNameError
+from takeapart.experiments.beyond_exact import (
+    BeyondRun,
+    BeyondSettings,
+    beyond_jobs,
+    compare_beyond,
+    draw,
+    lengths_markdown,
+    runs_csv,
+)
+from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
+from takeapart.experiments.workers import LocalWorkers
+from takeapart.files import load_workcell, save_assembly
+
+
+def run_of(name: str, search: str, guided: bool, *trace: tuple[int, float]) -> BeyondRun:
+    return BeyondRun(name, 40, search, guided, trace, None if guided else 20.0, 100, 900)
+
+
+RUNS = [
+    run_of("a", "greedy", False, (40, 30.0)),
+    run_of("a", "greedy", True, (10, 27.0)),
+    run_of("b", "greedy", False, (60, 32.0), (80, 30.0)),
+    run_of("b", "greedy", True, (10, 28.0), (90, 27.0)),
+]
+
+
+def test_lengths_are_those_known_after_so_many_queries() -> None:
+    run = RUNS[2]
+    assert [run.length_at(queries) for queries in (59, 60, 79, 80, 10**6)] == [math.inf, 32.0, 32.0, 30.0, 30.0]
+
+
+def test_the_table_compares_at_equal_queries() -> None:
+    lines = lengths_markdown(RUNS, 100).splitlines()
+    assert lines[0].split(" | ")[1:5] == [f"length at {n} queries, m" for n in (10, 25, 50, 100)]
+    assert lines[2] == "| greedy, no guide | - | - | 30.00 (1 of 2) | 30.00 | 100 | 900 |  |"
+    assert lines[3].startswith("| greedy, guide | 27.50 | 27.50 | 27.50 | 27.00 | 100 | 900 | 10.0% [10.0%, 10.0%] |")
+
+
+def test_the_table_as_csv() -> None:
+    first, second = runs_csv(RUNS[:2], 100).splitlines()[1:]
+    assert first == "a,40,greedy,no guide,,,30.0,30.0,20.0,100,900"
+    assert second == "a,40,greedy,guide,27.0,27.0,27.0,27.0,,100,900"
+
+
+def test_the_plot_has_a_line_for_every_search_and_guide() -> None:
+    labels = [line.get_label() for line in draw(RUNS, 100).axes[0].lines]
+    assert labels == ["greedy, no guide", "greedy, guide"]
+
+
+def test_settings_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at least one assembly"):
+        BeyondSettings((), Path("guide"))
+    with pytest.raises(InputError, match="guide: cannot be read: no such file"):
+        beyond_jobs(BeyondSettings((Path("a.json"),), tmp_path / "guide"), [two_bars()])
+    with pytest.raises(UnknownNameError, match="unknown search 'luck'; valid: beam, best-first, greedy, mcts"):
+        BeyondTask(two_bars(), load_workcell("panda"), 0, "luck", 10)
+    for name in ("one", "two"):
+        save_assembly(two_bars(), tmp_path / f"{name}.json")
+    (tmp_path / "guide").write_bytes(b"")
+    settings = BeyondSettings((tmp_path / "one.json", tmp_path / "two.json"), tmp_path / "guide")
+    with pytest.raises(InputError, match="two assemblies have the same name"):
+        compare_beyond(settings, tmp_path, LocalWorkers(1))
+
+
+@pytest.mark.parametrize("search", list(RUNNERS))
+def test_every_search_stays_within_its_queries(search: str, tmp_path: Path) -> None:
+    (tmp_path / "cell.toml").write_text(WORKCELL)
+    cell = load_workcell(tmp_path / "cell.toml")
+    outcome = BeyondTask(three_bars(), cell, 0, search, 20).run({}, tmp_path)
+    assert outcome["parts"] == 3 and 3 <= outcome["removal_queries"] <= 20
+    assert outcome["trace"] and outcome["trace"][-1][2] > 0
+    lengths = [length for _, _, length in outcome["trace"]]
+    assert lengths == sorted(lengths, reverse=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("takeapart.experiments.beyond_tasks.WIDEST_BEAM", 1)
+        short = BeyondTask(three_bars(), cell, 0, search, 1).run({}, tmp_path)
+    assert short["removal_queries"] == 1 and not short["trace"]

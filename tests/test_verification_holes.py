@@ -1,0 +1,92 @@
+"""Ways around the verifier that were once open: what it must not take for granted, in MuJoCo or in a plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mutation_table import scene_target
+from plan_mutations import MUTATIONS
+from takeapart import verification_physics
+from takeapart.assembly import Assembly
+from takeapart.geometry import Array
+from takeapart.plan import Grasp, PlanStep
+from takeapart.verification import Verifier, stand_under_gravity, verify_plan
+from takeapart.verification_checks import NOTHING_BELOW, unsupported
+from takeapart.verification_model import mujoco
+from verification_scene import scene_assembly, scene_plan, scene_workcell
+
+
+@pytest.mark.parametrize("name", [name for name in MUTATIONS if not name.startswith("direction")])
+def test_corrupted_plan_is_refused_when_it_is_read_backwards(name: str) -> None:
+    """A plan for assembly is checked for all that a plan for disassembly is."""
+    rng = np.random.default_rng(8)
+    corrupted = next(made for made in (MUTATIONS[name](scene_target(), rng) for _ in range(20)) if made is not None)
+    findings = verify_plan(corrupted.plan.inverted(), scene_assembly(), scene_workcell()).findings
+    assert any(f.check == corrupted.check and corrupted.step in (None, f.step) for f in findings)
+
+
+def test_a_part_without_connectors_needs_all_that_it_lies_on() -> None:
+    """The loose bar on its block, on another bar that may leave, and in the air."""
+    assembly = scene_assembly()
+    loose, block = assembly.index["loose"], assembly.index["block"]
+    free = list(assembly.parts)
+    free[block] = replace(free[block], fixed=False)
+    removable = replace(assembly, parts=tuple(free))
+    assert unsupported(removable, removable.root) == [("block", NOTHING_BELOW)]
+    assert unsupported(removable, removable.root & ~(1 << block)) == [("loose", "block")]
+    order = [PlanStep("block", *_rest_of(scene_plan().steps[2])), *scene_plan().steps]
+    report = verify_plan(replace(scene_plan(), steps=tuple(order)), removable, scene_workcell(), hashes={})
+    messages = {f.step: f.message for f in report.findings if f.check == "stability"}
+    assert messages == {
+        None: f"part 'block' stands without {NOTHING_BELOW!r} before anything moves",
+        0: "part 'loose' is left without 'block'",
+    }
+    for height, floats in ((0.0008, False), (0.003, True)):
+        parts = list(assembly.parts)
+        T = parts[loose].T_world_part.copy()
+        T[2, 3] += height
+        parts[loose] = replace(parts[loose], T_world_part=T)
+        changed = replace(assembly, parts=tuple(parts))
+        assert bool(unsupported(changed, changed.root)) == floats
+        findings = verify_plan(scene_plan(), changed, scene_workcell(), hashes={}).findings
+        assert any(f.check == "stability" and "'loose'" in f.message for f in findings) == floats
+
+
+def _rest_of(step: PlanStep) -> tuple[Grasp, Array, Array, float]:
+    return step.grasp, step.joint_path, step.tool_path, step.length
+
+
+def test_a_simulation_that_breaks_down_is_no_proof(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """MuJoCo sets a state back to the start where numbers overflow: nothing has moved then, and nothing is shown."""
+    monkeypatch.chdir(tmp_path)
+    made = verification_physics.gravity_model
+
+    def heavy(assembly: Assembly, state: int) -> mujoco.MjModel:
+        model = made(assembly, state)
+        model.opt.gravity[:] = [0.0, 0.0, -1e13]
+        return model
+
+    monkeypatch.setattr(verification_physics, "gravity_model", heavy)
+    report = stand_under_gravity(scene_assembly(), scene_assembly().root)
+    assert report.largest_shift == 0.0
+    assert [finding.message for finding in report.findings] == ["the simulation broke down: BADQACC"]
+    assert list(tmp_path.iterdir()) == [], "MuJoCo keeps no log of it"
+
+
+def test_contacts_that_were_left_out_are_told() -> None:
+    """MuJoCo counts a warning when its memory for contacts is full."""
+    verifier = Verifier(scene_assembly(), scene_workcell())
+    verifier.replay.scene.data.warning[mujoco.mjtWarning.mjWARN_CONTACTFULL].number = 1
+    findings = verifier.verify(scene_plan()).findings
+    assert [(f.step, f.check) for f in findings] == [(0, "collision"), (1, "collision"), (2, "collision")]
+    assert all("not all of them were seen" in finding.message for finding in findings)
+
+
+def test_numbers_of_the_heading_must_be_finite() -> None:
+    for change in ({"seconds": np.nan}, {"counts": {"motion_plans": -1}}, {"total_length": np.inf}):
+        findings = verify_plan(replace(scene_plan(), **change), scene_assembly(), scene_workcell()).findings
+        assert any(f.check == "schema" and f.message.split()[0] in ("motion_plans", *change) for f in findings)
