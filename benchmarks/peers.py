@@ -32,15 +32,17 @@ from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.geometry import pose_inverse
-from takeapart.motion.edges import Scene, is_free, new_scene
+from takeapart.motion.edges import waypoints
 from takeapart.motion.rrt import rrt_connect
-from takeapart.motion.smooth import dense, shorten
+from takeapart.motion.scene import Scene, is_free, new_scene
+from takeapart.motion.smooth import shorten
 from takeapart.removal.masks import flags_of
-from takeapart.robot.kernels import tool_poses
+from takeapart.robot.kinematics import tool_poses
 from takeapart.robot.model import RobotModel, load_robot
 from takeapart.robot.world import owner_fields, with_field
 
 STEP = 0.001  # m, see `piece_free`; what peers are given in radians is below
+SPACING = 0.05  # m, from row to row of our paths, as the removal planner has it
 RADIANS = 0.02  # spacing of the peers' checks along an edge
 JOINTS = [f"panda_joint{j}" for j in range(1, 8)]
 
@@ -78,16 +80,17 @@ def situations(robot: RobotModel, sources: Sequence[str], rng: np.random.Generat
         planner, work = problem.planner, robot.workspace(32)
         ((state, part),) = random_edges(problem, 1, rng)
         others = state & ~(1 << part)
-        for grasp in rng.permutation(len(planner.reach.bounds(part)))[:20]:
-            hand = planner.reach.hand(part, int(grasp), work)
+        hands = planner.reach.hands(part, work)
+        for grasp in rng.permutation(len(hands))[:20]:
+            hand = hands[int(grasp)]
             if hand.blockers is None or hand.blockers & others:
                 continue
-            branches = [b for b in planner.reach.branches(part, int(grasp), work) if not b.blockers & others]
+            branches = planner.reach.branches(part, int(grasp), others, work)
             if not branches:
                 continue
             present = flags_of(others, len(problem.assembly.parts))
             world = with_field(planner.world, fields[number], present)
-            scene = new_scene(robot.arm, hand.held, world, present, workcell.clearance, work)
+            scene = new_scene(robot.arm, hand.held, world, present, workcell.clearance, STEP, work)
             start = np.ascontiguousarray(branches[int(rng.integers(len(branches)))].rows[-1])
             goals = planner.goals.free(scene, start[None], work)
             if not len(goals):
@@ -162,12 +165,12 @@ class Ours:
         return (time.perf_counter() - started) / len(qs)
 
     def plan(self, situation: Situation, seed: int) -> Array | None:
-        corners = rrt_connect(self.scene, situation.start[None], situation.goal[None], 2000, 0.4, STEP, seed)
+        corners = rrt_connect(self.scene, situation.start[None], situation.goal[None], 2000, 0.4, seed)
         return corners if len(corners) else None
 
     def shortcut(self, path: Array, seed: int) -> Array:
-        rows = dense(self.scene, path, 0.01)
-        return shorten(self.scene, rows, 160, 0.01, STEP, np.inf, 48, seed) if len(rows) else path
+        rows = waypoints(self.scene, path, SPACING)
+        return shorten(self.scene, rows, 160, SPACING, np.inf, 48, seed) if len(rows) else path
 
 
 class CalledFromPython:
