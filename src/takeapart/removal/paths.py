@@ -63,12 +63,12 @@ class RemovalOptions:
     tree_iterations: int = 600
     tree_stride: float = 0.4
     tree_goals: int = 24
-    tree_paths: int = 4
+    tree_paths: int = 6
     tree_failures: int = 15
     quick_moves: int = 24
-    shortening_moves: int = 160
+    shortening_moves: int = 400
     finalists: int = 2
-    shortening_patience: int = 48
+    shortening_patience: int = 100
 
 
 @dataclass(frozen=True, eq=False)
