@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow lint format types bench verify-all paper paper-quick mutations fuzz wheel clean
+.PHONY: help demo kernels test slow lint format types bench verify-all paper paper-quick mutations fuzz pictures browser wheel clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /: /'
@@ -20,10 +20,13 @@ $(READY): pyproject.toml requirements.txt requirements-dev.txt
 demo: $(READY)  ## plan the disassembly of a shipped assembly; writes out/demo
 	$(BIN)/takeapart demo --out out/demo
 
-test: $(READY)  ## the quick tests
+kernels: $(READY)  ## compile the geometry kernels, unless that was done
+	$(BIN)/python -m takeapart.cli_compile
+
+test: kernels  ## the quick tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow'
 
-slow: $(READY)  ## the slow tests
+slow: kernels browser  ## the slow tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 lint: $(READY)  ## style and formatting
@@ -57,6 +60,14 @@ mutations: $(READY)  ## corrupt plans and see them refused; table of docs/reliab
 fuzz: $(READY)  ## 100,000 broken files for the readers, and more where atheris is installed; table of docs/reliability.md
 	$(BIN)/python tests/fuzz_readers.py --inputs 100000 --document docs/reliability.md
 	$(BIN)/python tests/fuzz_atheris.py
+
+pictures: $(READY)  ## the pictures of the README
+	$(BIN)/python -m takeapart.experiments.pictures --folder docs/pictures
+
+browser:  ## install Chromium for the tests of pages, where it is missing and this user may; they are skipped without
+	@command -v chromium chromium-browser google-chrome >/dev/null 2>&1 \
+	|| { command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ] && apt-get update -qq && apt-get install -y -qq chromium; } \
+	|| echo "no Chromium: the tests of pages will be skipped (Debian: apt install chromium)"
 
 wheel: $(READY)  ## dist/*.whl
 	$(BIN)/python -m build --no-isolation --outdir dist .

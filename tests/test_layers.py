@@ -58,6 +58,7 @@ CONFINED = {
     "viser": ("viewer*",),
     "yourdfpy": ("viewer*",),
     "imageio": ("render*",),
+    "PIL": ("render*",),
     "matplotlib": ("render*", "report*", "experiments"),
     "ray": ("experiments",),
     "ssik": ("robot.ik",),

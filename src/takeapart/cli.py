@@ -21,9 +21,12 @@ from takeapart.cli_generate import generate
 from takeapart.cli_inspect import explain, show
 from takeapart.cli_output import EXIT_ERROR, EXIT_INTERRUPTED
 from takeapart.cli_plan import plan
+from takeapart.cli_render import render
+from takeapart.cli_report import report
 from takeapart.cli_reproduce import reproduce
 from takeapart.cli_train import train
 from takeapart.cli_verify import assemble, verify
+from takeapart.cli_view import view
 from takeapart.errors import TakeapartError
 
 
@@ -89,5 +92,19 @@ def main(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-for _command in (demo, generate, plan, show, explain, assemble, verify, compare, train, reproduce):
+for _command in (
+    demo,
+    generate,
+    plan,
+    show,
+    explain,
+    assemble,
+    verify,
+    view,
+    render,
+    report,
+    compare,
+    train,
+    reproduce,
+):
     main.add_command(_command)

@@ -25,11 +25,12 @@ def compile_first(workcell: Workcell) -> None:
         InputError: the robot's files are missing.
     """
     from takeapart.compilation import is_compiled
-    from takeapart.motion import edges, legs, rrt, smooth
-    from takeapart.robot import kernels
+    from takeapart.motion import blockers, edges, legs, lifts, rrt, smooth
+    from takeapart.robot import grid, hand, kernels, kinematics
     from takeapart.search import lattice, lattice_bounds
 
-    if all(is_compiled(module) for module in (kernels, edges, legs, rrt, smooth, lattice, lattice_bounds)):
+    geometry = (grid, kinematics, kernels, hand, edges, blockers, lifts, legs, rrt, smooth)
+    if all(is_compiled(module) for module in (*geometry, lattice, lattice_bounds)):
         return
     note(NOTICE)
     _plan_one_removal(workcell)
@@ -93,3 +94,9 @@ def _order_two_parts() -> None:
     from takeapart.search.result import Budget
 
     exact(_TwoParts(Counts()), ExactOptions(), Budget())
+
+
+if __name__ == "__main__":  # before tests that run side by side, so that they do not all compile the same
+    from takeapart.files import load_workcell
+
+    compile_first(load_workcell("panda"))

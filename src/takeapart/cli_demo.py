@@ -52,7 +52,8 @@ def demo(out: Path, search: str, seconds: float, seed: int, as_json: bool) -> No
     """Plan the disassembly of a shipped assembly of 21 aluminium profiles with a Franka Panda.
 
     Writes plan.json and prints the order with the length of the gripper's path for each part, the total, and how far
-    it can be from the best. The plan is then verified independently if MuJoCo is installed.
+    it can be from the best. The plan is then verified independently if MuJoCo is installed. At last plan.html, which
+    plays the plan in a browser, and report.html are written beside it.
     """
     from takeapart.files import data_path, load_assembly, load_workcell
 
@@ -72,6 +73,7 @@ def demo(out: Path, search: str, seconds: float, seed: int, as_json: bool) -> No
         print_json({"feasible": True, "file": str(file), "interrupted": interrupted, **summary, "verified": verified})
     elif outcome is not None:
         print_verdict(outcome)
+    _show(file, out, as_json)
     if outcome is not None and not outcome.passed:
         raise click.exceptions.Exit(EXIT_UNVERIFIED)
 
@@ -85,3 +87,22 @@ def _verified(plan: Plan, assembly: Assembly, workcell: Workcell) -> Verificatio
         return None
     with progress_bar(f"verifying {assembly.name}"):
         return verify_plan(plan, assembly, workcell)
+
+
+def _show(plan: Path, folder: Path, as_json: bool) -> None:
+    """Writes the pages that show a plan, and says where they are, or in one line why they are not."""
+    from takeapart.errors import TakeapartError
+    from takeapart.report import save_report
+    from takeapart.viewer_page import save_page
+
+    for write, name, purpose in (
+        (save_page, "plan.html", "plays the plan in a browser"),
+        (save_report, "report.html", "all about the plan on one page"),
+    ):
+        try:
+            write(plan, folder / name)
+        except TakeapartError as error:
+            note(f"{name} was not written: {error}")
+            continue
+        if not as_json:
+            click.echo(f"written to           {folder / name}: {purpose}")

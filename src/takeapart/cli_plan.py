@@ -6,7 +6,7 @@ import importlib.util
 import math
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,7 @@ from takeapart.cli_output import (
     seed_option,
     workcell_option,
 )
+from takeapart.cli_view import keep_showing, live_view
 from takeapart.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from takeapart.plan import Plan
     from takeapart.planning import Infeasible, PlanningOptions, Recorder
     from takeapart.problem import Guide
+    from takeapart.search.result import Progress, ProgressListener
     from takeapart.workcell import Workcell
 
 GUIDED, RECORDED = ("exact", "mcts", "beam"), ("exact", "mcts")
@@ -119,6 +121,13 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     metavar="DIR",
     help="exact, mcts. Add all that the search sees to this folder, for `takeapart train`.",
 )
+@click.option(
+    "--view",
+    "watch",
+    is_flag=True,
+    help="Watch the search in the browser: length and bound against time, and the best plan so far. Needs the extra "
+    "view.",
+)
 @json_option
 def plan(
     assembly: Path,
@@ -136,6 +145,7 @@ def plan(
     run: Path | None,
     guide: Path | None,
     experience: Path | None,
+    watch: bool,
     as_json: bool,
 ) -> None:
     """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
@@ -161,14 +171,16 @@ def plan(
     require_output(out, assembly, Path(workcell))
     options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1, refine)
     advice = loaded_guide(guide, product)
-    with recorder(experience, product, options) as record:
-        made, interrupted = make_plan(product, cell, options, run, advice, record)
-    saved = save_or_explain(made, interrupted, out, as_json)
-    if as_json:
-        print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
-        return
-    print_plan(saved)
-    click.echo(f"written to           {out}")
+    with recorder(experience, product, options) as record, live_view(product, cell) if watch else nullcontext() as live:
+        made, interrupted = make_plan(product, cell, options, run, advice, record, live)
+        saved = save_or_explain(made, interrupted, out, as_json)
+        if as_json:
+            print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
+        else:
+            print_plan(saved)
+            click.echo(f"written to           {out}")
+        if live is not None:
+            keep_showing(live, out)
 
 
 def options_of(
@@ -239,6 +251,7 @@ def make_plan(
     run: Path | None = None,
     guide: Guide | None = None,
     record: Recorder | None = None,
+    watch: ProgressListener | None = None,
 ) -> tuple[Plan | Infeasible, bool]:
     """Plans with a progress bar, after the kernels are compiled.
 
@@ -246,6 +259,7 @@ def make_plan(
         run: directory of a run that is started or continued; by default nothing is kept before the end.
         guide: ranks the parts.
         record: is told what the search sees.
+        watch: also hears how the search goes.
 
     Returns:
         the plan or why there is none, and whether Ctrl-C ended the search.
@@ -264,7 +278,8 @@ def make_plan(
         with progress_bar(title) as update:
             problem = build_problem(assembly, workcell, options)
             started = time.monotonic()
-            result = search(problem, options, guide, search_listener(update, options.budget), record)
+            listen = _both(search_listener(update, options.budget), watch)
+            result = search(problem, options, guide, listen, record)
             return plan_of(problem, result, options, time.monotonic() - started), result.interrupted
     identity = run_identity(assembly, workcell, options, guide)
     known = finished_plan(run, identity)
@@ -276,8 +291,17 @@ def make_plan(
             note(f"continuing the run in {run}, which has {opened.journal.answers} answers of the planner")
         compile_first(workcell)
         with progress_bar(title) as update:
-            listen = search_listener(update, options.budget)
+            listen = _both(search_listener(update, options.budget), watch)
             return plan_in_run(opened, assembly, workcell, options, guide, listen, record)
+
+
+def _both(first: ProgressListener, second: ProgressListener | None) -> ProgressListener:
+    def listen(progress: Progress) -> None:
+        first(progress)
+        if second is not None:
+            second(progress)
+
+    return listen
 
 
 def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:

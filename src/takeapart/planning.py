@@ -34,13 +34,14 @@ from takeapart.search.baselines import (
 )
 from takeapart.search.exact import ExactOptions, SettledObserver, exact
 from takeapart.search.mcts import MctsOptions, TransitionObserver, mcts
-from takeapart.search.result import Budget, ProgressListener, SearchResult
+from takeapart.search.result import Budget, History, ProgressListener, SearchResult
 from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.stability import ConnectorStability, require_support
 from takeapart.workcell import Workcell
 
 SearchName = Literal["exact", "mcts", "beam", "greedy", "restarts", "random"]
 SEARCHES: tuple[SearchName, ...] = get_args(SearchName)
+MAXIMUM_HISTORY = 400  # rows of a plan's search history
 SHAPING_PACKAGES = ("numpy", "numba", "ssik", "example-robot-data")
 
 
@@ -252,7 +253,19 @@ def search(
     listen: ProgressListener | None = None,
     record: Recorder | None = None,
 ) -> SearchResult:
-    """Runs the search that the options name."""
+    """Runs the search that the options name, and keeps how its length and bound came about."""
+    history = History(listen)
+    result = _search(problem, options, guide, history, record)
+    return replace(result, history=tuple(history.rows))
+
+
+def _search(
+    problem: AssemblyProblem,
+    options: PlanningOptions,
+    guide: Guide | None,
+    listen: ProgressListener,
+    record: Recorder | None,
+) -> SearchResult:
     rng = np.random.default_rng([options.seed, 1])
     observe = record.observe if record is not None else None
     guide = of_candidates(guide, problem) if guide is not None else None
@@ -301,7 +314,12 @@ def plan_of(
         counts=asdict(problem.counts),
         seconds=seconds,
         seed=options.seed,
-        search={"name": options.search, "statistics": statistics, "interrupted": result.interrupted},
+        search={
+            "name": options.search,
+            "statistics": statistics,
+            "interrupted": result.interrupted,
+            "history": [_history_row(*row) for row in _thinned(result.history)],
+        },
         hashes={"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)},
         versions=versions(),
         assembly=assembly.name,
@@ -353,6 +371,17 @@ def _step(assembly: Assembly, removal: Removal) -> PlanStep:
     return PlanStep(
         assembly.parts[removal.part].name, removal.grasp, removal.joint_path, removal.tool_path, removal.length
     )
+
+
+def _history_row(queries: int, length: float, bound: float) -> list[float | None]:
+    return [queries, *(round(value, 9) if 0 <= value < math.inf else None for value in (length, bound))]
+
+
+def _thinned(history: Sequence[tuple[int, float, float]]) -> Sequence[tuple[int, float, float]]:
+    """At most so many rows as a plan file keeps, first and last among them."""
+    if len(history) <= MAXIMUM_HISTORY:
+        return history
+    return [history[i] for i in np.linspace(0, len(history) - 1, MAXIMUM_HISTORY).astype(int)]
 
 
 def _number(value: float) -> float | int:

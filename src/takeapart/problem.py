@@ -17,8 +17,6 @@ from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import QueryJournal, RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
-from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.model import RobotModel
 from takeapart.stability import Stability
 
 Guide = Callable[[Sequence[int]], Sequence[Mapping[int, float]]]
@@ -78,7 +76,6 @@ class AssemblyProblem:
         library: EdgeBounds | None = None,
         journal: QueryJournal | None = None,
     ) -> None:
-        _load_inverse_kinematics(planner.robot)
         assembly = planner.assembly
         self.planner, self.stability, self.seed, self.journal = planner, stability, seed, journal
         if journal is not None:
@@ -188,12 +185,3 @@ class AssemblyProblem:
         words = [state >> shift & 0xFFFFFFFF for shift in range(0, max(state.bit_length(), 1), 32)]
         rng = np.random.default_rng([self.seed, part, query.turn, *words])
         return self.planner.plan(part, state, rng=rng, shorter_than=query.shorter_than, attempts=query.attempts)
-
-
-def _load_inverse_kinematics(robot: RobotModel) -> None:
-    """Has the library load its machine code now, in one thread.
-
-    It does so at its first call. A second thread that calls meanwhile gets an answer of the library's interpreted code,
-    which rounds otherwise: then a plan depends on which thread came first.
-    """
-    InverseKinematics(robot).solve(robot.tool_pose(np.zeros(robot.joints)))

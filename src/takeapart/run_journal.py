@@ -180,6 +180,27 @@ def _count_answers(path: Path, identity: str) -> int:
     return count
 
 
+def recorded_answers(path: Path) -> list[tuple[RemovalQuery, RecordedAnswer]]:
+    """All answers of a journal, in the order in which they were given; nothing is written to it.
+
+    Raises:
+        InputError: it is missing, damaged, or a process is working on the run.
+    """
+    where = shown(path)
+    if not path.is_file():
+        raise InputError("is missing", where)
+    found = []
+    with _told(path), closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
+        if connection.execute("PRAGMA application_id").fetchone() != (APPLICATION,):
+            raise InputError("is no journal of a run", where)
+        for row in connection.execute(f"{ANSWERS} ORDER BY rowid"):
+            if row[-1] != _digest(row[:-1]):
+                raise _damaged(where)
+            state, part, turn, attempts, shorter_than = row[:KEY]
+            found.append((RemovalQuery(int(state, 16), part, turn, attempts, shorter_than), _answer(row)))
+    return found
+
+
 def _damaged(where: str) -> InputError:
     return InputError("is damaged and was left as it is; start anew in another folder", where)
 

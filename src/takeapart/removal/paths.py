@@ -52,7 +52,7 @@ class RemovalOptions:
     """
 
     check_step: float = 0.001
-    lift_check_step: float = 0.004
+    lift_check_step: float = 0.002
     waypoint_spacing: float = 0.05
     row_spacing: float = 0.016
     tolerance: float = 0.002

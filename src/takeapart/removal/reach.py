@@ -158,14 +158,16 @@ class Reach:
         return tuple(branch for branch in found if branch is not None and not branch.blockers & others)
 
     def in_the_way(self, part: int, number: int, others: int, work: Workspace) -> list[int]:
-        """Per way to hold and lift the part: those of the other parts that are in its way, as far as that is known."""
+        """Per way to hold and lift the part: those of the other parts that are in its way, at its ends if there are."""
         self.branches(part, number, others, work)
         lifts = self._lifts[part, number]
         masks = []
         for s, ends in enumerate(lifts.ends):
             branch = lifts.branches.get(s)
-            if s not in lifts.branches or branch is not None:
-                masks.append((ends if branch is None else branch.blockers) & others)
+            if ends & others:  # whether the rest of such a lift is known depends on what was asked before
+                masks.append(ends & others)
+            elif branch is not None:
+                masks.append(branch.blockers & others)
         return masks
 
     def _solutions_of(self, part: int, number: int, work: Workspace) -> Array:

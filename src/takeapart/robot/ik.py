@@ -46,6 +46,9 @@ class InverseKinematics:
         T_tool = robot.arm.T_tool
         # Whether the last joint turns the tool about its own approach direction: both finger orders are then one.
         self._turns_on_the_spot = bool(np.allclose(T_tool[:2, 3], 0, atol=1e-9) and np.isclose(T_tool[2, 2], 1))
+        # The library loads its machine code at its first call. A second thread that calls meanwhile gets an answer of
+        # its interpreted code, which rounds otherwise: a plan would depend on which thread came first.
+        self.solve(robot.tool_pose(np.zeros(robot.joints)))
 
     def solve(self, T_world_tool: Array) -> Array:
         """All solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""

@@ -83,7 +83,8 @@ class Logbook:
         """Tell the listener."""
         if self.listen is not None:
             clock = self.clock
-            self.listen(Progress(clock.episodes, self.best[0], self.bound, clock.queries, clock.seconds))
+            length, removals = self.best
+            self.listen(Progress(clock.episodes, length, self.bound, clock.queries, clock.seconds, removals))
 
     def result(self, interrupted: bool, sequence_bound: float | None = None) -> SearchResult:
         """Best sequence; without one, the deepest dead ends."""

@@ -59,13 +59,18 @@ class Clock:
 
 @dataclass(frozen=True)
 class Progress:
-    """A sign of life of a running search, for progress bars and logs. Lengths in m, infinite where not known."""
+    """A sign of life of a running search, for progress bars, logs and viewers. Lengths in m, infinite where not known.
+
+    Args:
+        removals: the best sequence so far; empty where none is known.
+    """
 
     episode: int
     length: float
     bound: float
     queries: int
     seconds: float
+    removals: tuple[Removal, ...] = ()
 
 
 ProgressListener = Callable[[Progress], None]
@@ -82,6 +87,8 @@ class SearchResult:
         refusals: where the search found no sequence, what blocked it: per dead end its state and refusals.
         statistics: numbers for tables ("initial_length", "found_episode", "found_step", ...).
         interrupted: stopped by Ctrl-C.
+        history: queries so far, shortest length and bound, m, wherever one of the lengths changed; infinite where not
+            known.
     """
 
     removals: tuple[Removal, ...]
@@ -90,3 +97,25 @@ class SearchResult:
     refusals: tuple[tuple[int, tuple[Blocked, ...]], ...] = ()
     statistics: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False
+    history: tuple[tuple[int, float, float], ...] = ()
+
+
+class History:
+    """A listener that keeps how length and bound came about, and hands everything on.
+
+    Args:
+        listen: hears what this hears.
+    """
+
+    def __init__(self, listen: ProgressListener | None = None) -> None:
+        self.rows: list[tuple[int, float, float]] = []
+        self._listen = listen
+
+    def __call__(self, progress: Progress) -> None:
+        row = (progress.queries, progress.length, progress.bound)
+        if not self.rows or self.rows[-1][1:] != row[1:]:
+            if self.rows and self.rows[-1][0] == progress.queries:
+                self.rows.pop()  # the last word at one number of queries counts
+            self.rows.append(row)
+        if self._listen is not None:
+            self._listen(progress)

@@ -1,0 +1,162 @@
+"""Charts of the report as inline SVG: no script, sharp in print, as wide as the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from takeapart.assembly import Assembly, members
+
+LENGTH, BOUND, INK, GRID = "#2f6fb0", "#d9822b", "#39424e", "#e3e7ec"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One row of a bar chart: a label, a length and its bound, m, and a colour."""
+
+    label: str
+    value: float
+    bound: float
+    color: str
+
+
+def bars(rows: Sequence[Bar]) -> str:
+    """Lengths as horizontal bars; a line across each marks the bound below which it cannot be."""
+    height, top, width = 26, 8, 480
+    left = min(240.0, 7.8 * max((len(row.label) for row in rows), default=0) + 16)  # room for the longest label
+    largest = max((max(row.value, row.bound) for row in rows), default=1.0) * 1.02
+    scale = (width - left - 52) / largest
+    parts = []
+    for i, row in enumerate(rows):
+        y = top + i * height
+        mark = left + row.bound * scale
+        parts.append(
+            f'<text x="{left - 10}" y="{y + 16}" text-anchor="end">{escape(row.label)}</text>'
+            f'<rect x="{left}" y="{y + 4}" width="{row.value * scale:.1f}" height="16" rx="3" fill="{row.color}"/>'
+            f'<line x1="{mark:.1f}" x2="{mark:.1f}" y1="{y + 1}" y2="{y + 23}" stroke="{INK}" stroke-width="2"/>'
+            f'<text x="{left + max(row.value, row.bound) * scale + 8:.1f}" y="{y + 16}">{row.value:.3f}</text>'
+        )
+    return _svg(width, top + len(rows) * height + 6, "".join(parts), "Length of every step, with its bound")
+
+
+def progress(history: Sequence[Sequence[float | None]]) -> str:
+    """Shortest length and bound, m, against removal queries."""
+    width, height, left, right, top, bottom = 480, 280, 52, 62, 22, 44
+    lengths = [(float(row[0] or 0), float(row[1])) for row in history if row[1] is not None]
+    bounds = [(float(row[0] or 0), float(row[2])) for row in history if row[2] is not None]
+    values = [value for _, value in lengths + bounds]
+    low, high = min(values), max(values)
+    margin = max(0.08 * (high - low), 0.01)
+    low, high = low - margin, high + margin
+    end = max(float(history[-1][0] or 0), 1.0)
+
+    def x(queries: float) -> float:
+        return left + queries / end * (width - left - right)
+
+    def y(value: float) -> float:
+        return top + (high - value) / (high - low) * (height - top - bottom)
+
+    parts = []
+    for value in _ticks(low, high):
+        parts.append(
+            f'<line x1="{left}" x2="{width - right}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="{GRID}"/>'
+            f'<text x="{left - 8}" y="{y(value) + 5:.1f}" text-anchor="end">{value:g}</text>'
+        )
+    for value in _ticks(0, end):
+        parts.append(f'<text x="{x(value):.1f}" y="{height - bottom + 20}" text-anchor="middle">{value:g}</text>')
+    parts.append(f'<text x="{(left + width - right) / 2}" y="{height - 6}" text-anchor="middle">removal queries</text>')
+    parts.append(f'<text x="{left - 8}" y="{top - 8}" text-anchor="end">m</text>')
+    placed: list[float] = []
+    for points, color, name in ((lengths, LENGTH, "length"), (bounds, BOUND, "bound")):
+        if not points:
+            continue
+        line = f"M{x(points[0][0]):.1f} {y(points[0][1]):.1f}"
+        for queries, value in points[1:]:
+            line += f"H{x(queries):.1f}V{y(value):.1f}"
+        line += f"H{x(end):.1f}"
+        at = y(points[-1][1])
+        if placed and abs(at - placed[0]) < 18:  # both names at one height would hide each other
+            at = placed[0] + 18
+        placed.append(at)
+        parts.append(f'<path d="{line}" fill="none" stroke="{color}" stroke-width="2.5" stroke-linejoin="round"/>')
+        parts.append(f'<text x="{width - right + 8}" y="{at + 5:.1f}" fill="{color}" class="name">{name}</text>')
+    return _svg(width, height, "".join(parts), "Shortest length and bound against removal queries")
+
+
+def graph(assembly: Assembly, edges: Sequence[tuple[int, int, str]], colors: Sequence[str]) -> str:
+    """Which part must wait for which: parts that can leave first stand on top, lines lead down to those that wait."""
+    parts = members(assembly.root)
+    before = {part: [other for waiting, other, _ in edges if waiting == part] for part in parts}
+    level: dict[int, int] = {}
+
+    def level_of(part: int, path: frozenset[int] = frozenset()) -> int:
+        if part not in level:
+            others = [other for other in before[part] if other not in path]
+            level[part] = 1 + max((level_of(other, path | {part}) for other in others), default=-1)
+        return level[part]
+
+    for part in parts:
+        level_of(part)
+    width, row_height, chip, gap = 640, 66, 22, 8
+    rows: list[list[int]] = []
+    for depth in range(max(level.values(), default=0) + 1):
+        row: list[int] = []
+        used = 0.0
+        wanted = [part for part in parts if level[part] == depth]
+        place = {part: n for row_above in rows for n, part in enumerate(row_above)}
+        wanted.sort(key=lambda p: sum(place.get(o, 0) for o in before[p]) / max(len(before[p]), 1))
+        for part in wanted:
+            size = _chip_width(assembly.parts[part].name)
+            if row and used + size > width - 20:
+                rows.append(row)
+                row, used = [], 0.0
+            row.append(part)
+            used += size + gap
+        rows.append(row)
+    center: dict[int, tuple[float, float]] = {}
+    for number, row in enumerate(rows):
+        total = sum(_chip_width(assembly.parts[part].name) for part in row) + gap * (len(row) - 1)
+        at = (width - total) / 2
+        for part in row:
+            size = _chip_width(assembly.parts[part].name)
+            center[part] = (at + size / 2, 18 + number * row_height)
+            at += size + gap
+    drawn = []
+    for waiting, other, why in edges:
+        (x1, y1), (x2, y2) = center[other], center[waiting]
+        y1, y2 = y1 + chip / 2, y2 - chip / 2
+        bend = (y2 - y1) / 2
+        dash = ' stroke-dasharray="4 3"' if why == "lift" else ""
+        drawn.append(
+            f'<path d="M{x1:.0f} {y1:.0f}C{x1:.0f} {y1 + bend:.0f} {x2:.0f} {y2 - bend:.0f} {x2:.0f} {y2:.0f}" '
+            f'fill="none" stroke="#9aa5b1" stroke-width="1.4"{dash}/>'
+        )
+    for part, (x, y) in center.items():
+        name, size = assembly.parts[part].name, _chip_width(assembly.parts[part].name)
+        drawn.append(
+            f'<rect x="{x - size / 2:.0f}" y="{y - chip / 2:.0f}" width="{size:.0f}" height="{chip}" rx="11" '
+            f'fill="{colors[part]}"/><text x="{x:.0f}" y="{y + 4:.0f}" text-anchor="middle" class="chip">'
+            f"{escape(name)}</text>"
+        )
+    return _svg(width, 18 + (len(rows) - 1) * row_height + chip, "".join(drawn), "Which part waits for which")
+
+
+def _chip_width(name: str) -> float:
+    return 7.0 * len(name) + 18
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """About five round numbers between two."""
+    step = 10 ** math.floor(math.log10((high - low) / 4))
+    step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (step * factor) <= 6)
+    first = math.ceil(low / step)
+    return [round(step * k, 10) for k in range(first, math.floor(high / step) + 1)]
+
+
+def _svg(width: float, height: float, content: str, title: str) -> str:
+    return (
+        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}" '
+        f'xmlns="http://www.w3.org/2000/svg">{content}</svg>'
+    )

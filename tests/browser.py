@@ -1,0 +1,67 @@
+"""A headless browser for the tests of pages; they are skipped where there is none."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+FLAGS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --enable-unsafe-swiftshader"
+).split()
+SCREENSHOTS = Path(__file__).resolve().parents[1] / "out" / "screenshots"
+
+
+@dataclass
+class Opened:
+    """A page, what went wrong in it, and what it asked the network for."""
+
+    page: Any
+    errors: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+
+    def picture(self, selector: str = "canvas") -> np.ndarray:
+        """What an element shows (H, W, 3)."""
+        data = self.page.locator(selector).first.screenshot()
+        return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+    def keep(self, name: str) -> None:
+        """A screenshot under out/screenshots, to be looked at."""
+        SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+        self.page.screenshot(path=str(SCREENSHOTS / name))
+
+
+@contextmanager
+def opened(address: str, width: int = 1200, height: int = 800, offline: bool = False) -> Iterator[Opened]:
+    """A page in headless Chromium.
+
+    Args:
+        offline: no network at all.
+    """
+    playwright = pytest.importorskip("playwright.sync_api", reason="browser tests need the package playwright")
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("browser tests need Chromium (Debian: apt install chromium)")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=program, args=FLAGS)
+        try:
+            context = browser.new_context(viewport={"width": width, "height": height}, offline=offline)
+            found = Opened(context.new_page())
+            found.page.on("pageerror", lambda error: found.errors.append(str(error)))
+            found.page.on(
+                "console", lambda message: found.errors.append(message.text) if message.type == "error" else None
+            )
+            found.page.on("request", lambda request: found.requests.append(request.url))
+            found.page.goto(address)
+            yield found
+        finally:
+            browser.close()

@@ -1,0 +1,138 @@
+"""The report: self-contained, and its numbers are the plan's."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from shown_plans import small_plan, small_workcell, write_files
+from small_assemblies import three_bars
+from takeapart.cli import main
+from takeapart.files import save_assembly
+from takeapart.plan import Plan
+from takeapart.planning import PlanningOptions, plan
+from takeapart.report import report
+from takeapart.report_charts import Bar, bars, graph, progress
+from takeapart.search.result import History, Progress
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("shown")
+
+
+class Page(HTMLParser):
+    """Text and references of a page; fails on tags that are not closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.references: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "img", "link", "br", "rect", "line", "path"):
+            self.open.append(tag)
+        self.references += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in ("rect", "line", "path"):
+            assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        return
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def test_report_of_a_plan_has_its_numbers_and_needs_no_other_file(tmp_path: Path, folder: Path) -> None:
+    given = write_files(tmp_path, folder)
+    out = tmp_path / "report.html"
+    done = CliRunner().invoke(main, ["report", str(tmp_path / "plan.json"), "--out", str(out), *given])
+    assert done.exit_code == 0, done.output
+    text, made = out.read_text(), small_plan(folder)
+    page = Page(text)
+    assert all(reference.startswith("data:image/png;base64,") for reference in page.references)
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", text) and "<script" not in text
+    words = " ".join(page.words)
+    for step in made.steps:
+        assert step.part in words and f"{step.length:.3f}" in words
+    assert f"{made.total_length:.3f} m" in words and f"{made.straight_line_bound:.3f} m" in words
+    assert made.hashes["assembly"] in words and made.hashes["workcell"] in words
+    assert 'name="viewport"' in text and "@media print" in text
+    assert len(text) < 2_000_000
+
+
+def test_report_of_a_run_tells_what_the_planner_answered(tmp_path: Path, folder: Path) -> None:
+    made = plan(three_bars(), small_workcell(folder), PlanningOptions(), run=tmp_path / "run")
+    assert isinstance(made, Plan)
+    save_assembly(three_bars(), tmp_path / "product.json")
+    text = report(tmp_path / "run", tmp_path / "product.json", str(folder / "cell.toml"))
+    found = re.search(r"removal found</td><td class=\"n\">(\d+)", text)
+    assert found and 0 < int(found[1]) <= made.counts["removal_queries"]
+
+
+def test_plan_keeps_how_its_length_came_about(folder: Path) -> None:
+    made = small_plan(folder)
+    history = made.search["history"]
+    assert isinstance(history, list) and history
+    queries = [row[0] for row in history]
+    lengths = [row[1] for row in history if row[1] is not None]
+    assert queries == sorted(queries) and queries[-1] <= made.counts["removal_queries"]
+    assert lengths == sorted(lengths, reverse=True) and lengths[-1] == pytest.approx(made.total_length)
+    assert history[-1][2] == pytest.approx(made.sequence_bound)
+
+
+def test_history_keeps_changes_only_and_passes_all_on() -> None:
+    heard: list[Progress] = []
+    history = History(heard.append)
+    for queries, length, bound in ((1, 9.0, 3.0), (2, 9.0, 3.0), (3, 8.0, 3.0), (3, 8.0, 4.0), (5, 8.0, 8.0)):
+        history(Progress(0, length, bound, queries, 0.0))
+    assert len(heard) == 5
+    assert history.rows == [(1, 9.0, 3.0), (3, 8.0, 4.0), (5, 8.0, 8.0)]
+
+
+def test_bars_are_as_long_as_the_lengths() -> None:
+    drawn = ElementTree.fromstring(bars([Bar("a", 1.0, 0.5, "#112233"), Bar("b & c", 0.25, 0.2, "#445566")]))
+    widths = [float(rect.get("width", "")) for rect in drawn.iter("{http://www.w3.org/2000/svg}rect")]
+    assert widths[0] == pytest.approx(4 * widths[1], abs=0.3)
+    lines = [float(line.get("x1", "")) for line in drawn.iter("{http://www.w3.org/2000/svg}line")]
+    left = float(next(drawn.iter("{http://www.w3.org/2000/svg}rect")).get("x", ""))
+    assert lines[0] - left == pytest.approx(widths[0] / 2, abs=0.3)
+
+
+def test_progress_draws_steps_and_survives_missing_numbers() -> None:
+    text = progress([[1, None, 2.0], [5, 4.0, 2.5], [9, 3.0, 3.0]])
+    paths = [e.get("d", "") for e in ElementTree.fromstring(text).iter("{http://www.w3.org/2000/svg}path")]
+    assert len(paths) == 2 and all(path.startswith("M") for path in paths)
+    assert progress([[0, 3.0, None]]).count("<path") == 1
+
+
+def test_graph_puts_a_part_below_those_it_waits_for() -> None:
+    assembly = three_bars()
+    index = assembly.index
+    edges = [(index["beam"], index["stub"], "gravity"), (index["beam"], index["rear"], "lift")]
+    drawn = ElementTree.fromstring(graph(assembly, edges, ["#abcdef"] * len(assembly.parts)))
+    height = {str(text.text): float(text.get("y", "")) for text in drawn.iter("{http://www.w3.org/2000/svg}text")}
+    assert set(height) == {"beam", "stub", "rear"} and height["stub"] == height["rear"] < height["beam"]
+
+
+@pytest.mark.parametrize(("name", "message"), [("x.txt", "unknown ending"), ("no/x.html", "no folder")])
+def test_misuse_is_told_in_one_line(name: str, message: str, tmp_path: Path, folder: Path) -> None:
+    given = write_files(tmp_path, folder)
+    done = CliRunner().invoke(main, ["report", str(tmp_path / "plan.json"), "--out", str(tmp_path / name), *given])
+    assert done.exit_code == 2 and message in done.output and len(done.output.splitlines()) == 1
+
+
+def test_an_assembly_has_no_report(tmp_path: Path, folder: Path) -> None:
+    write_files(tmp_path, folder)
+    done = CliRunner().invoke(main, ["report", str(tmp_path / "product.json"), "--out", str(tmp_path / "x.html")])
+    assert done.exit_code == 2 and "holds no plan" in done.output
