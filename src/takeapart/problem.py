@@ -127,6 +127,9 @@ class AssemblyProblem:
     def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
         """The removal query. What the library answers for certain costs nothing and is not counted.
 
+        An edge that was planned already is planned again if `effort.attempts` says more than it had so far, by as many
+        attempts as are lacking.
+
         Returns:
             The shortest removal known after asking, if it is shorter than `effort.shorter_than`, else why there is
             none.
@@ -142,7 +145,8 @@ class AssemblyProblem:
         if self.edge_bounds.is_closed(state, part) and effort.attempts <= max(made, 1):
             refusal = self.edge_bounds.refusal(state, part)
         else:
-            limit = min(effort.shorter_than, known.length if known else math.inf)
+            # A planner that looks only for less than it found is less likely to find it: no limit the second time.
+            limit = math.inf if made else min(effort.shorter_than, known.length if known else math.inf)
             found = self._query(state, part, limit, max(effort.attempts - made, 1))
             refusal = None
             if isinstance(found, Removal):

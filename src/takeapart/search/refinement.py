@@ -38,7 +38,7 @@ class RefinementOptions:
     """
 
     passes: int = 8
-    optimism: float = 1.0
+    optimism: float = 0.5
     worth: float = 0.001
 
     def __post_init__(self) -> None:
