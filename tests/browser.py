@@ -18,6 +18,7 @@ FLAGS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync --enable-unsafe-swiftshader"
 ).split()
+PATIENCE = 180_000  # ms; a busy machine without a graphics card draws slowly
 SCREENSHOTS = Path(__file__).resolve().parents[1] / "out" / "screenshots"
 
 
@@ -31,13 +32,16 @@ class Opened:
 
     def picture(self, selector: str = "canvas") -> np.ndarray:
         """What an element shows (H, W, 3)."""
-        data = self.page.locator(selector).first.screenshot()
+        # Of the page, cut to the element: a picture of the element alone waits until it stands still, which takes long
+        # where the picture is drawn in software.
+        area = self.page.locator(selector).first.bounding_box(timeout=PATIENCE)
+        data = self.page.screenshot(clip=area, timeout=PATIENCE)
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
     def keep(self, name: str) -> None:
         """A screenshot under out/screenshots, to be looked at."""
         SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-        self.page.screenshot(path=str(SCREENSHOTS / name))
+        self.page.screenshot(path=str(SCREENSHOTS / name), timeout=PATIENCE)
 
 
 @contextmanager
@@ -56,12 +60,13 @@ def opened(address: str, width: int = 1200, height: int = 800, offline: bool = F
         try:
             context = browser.new_context(viewport={"width": width, "height": height}, offline=offline)
             found = Opened(context.new_page())
+            found.page.set_default_timeout(PATIENCE)
             found.page.on("pageerror", lambda error: found.errors.append(str(error)))
             found.page.on(
                 "console", lambda message: found.errors.append(message.text) if message.type == "error" else None
             )
             found.page.on("request", lambda request: found.requests.append(request.url))
-            found.page.goto(address)
+            found.page.goto(address, timeout=PATIENCE)
             yield found
         finally:
             browser.close()

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from browser import Opened, opened
+from browser import PATIENCE, Opened, opened
 from shown_plans import small_scene, write_files
 from takeapart.errors import InputError
 from takeapart.files import data_path, load_workcell
@@ -44,7 +44,7 @@ def page_file(folder: Path) -> Path:
 
 def drawn(found: Opened) -> None:
     """Waits until the page has shown its first picture."""
-    found.page.wait_for_function("window.takeapart && window.takeapart.firstPicture > 0", timeout=60_000)
+    found.page.wait_for_function("window.takeapart && window.takeapart.firstPicture > 0", timeout=PATIENCE)
 
 
 def differ(first: np.ndarray, second: np.ndarray) -> float:
@@ -69,7 +69,7 @@ def test_standalone_page_plays_from_disk_without_a_network(page_file: Path, fold
         assert differ(first, found.picture()) > 0.004
         before = page.evaluate("takeapart.player.time")
         page.click("#play")
-        page.wait_for_function(f"takeapart.player.time > {before} + 0.2", timeout=60_000)
+        page.wait_for_function(f"takeapart.player.time > {before} + 0.2", timeout=PATIENCE)
         page.click("#play")
         stopped = page.evaluate("takeapart.player.time")
         page.wait_for_timeout(300)
@@ -164,7 +164,7 @@ def test_damaged_page_says_so(damage: Any, message: str, page_file: Path, tmp_pa
     broken = tmp_path / "broken.html"
     broken.write_text(damage(page_file.read_text()))
     with opened(broken.as_uri(), 900, 640) as found:
-        found.page.wait_for_selector("#error:not([hidden])", timeout=30_000)
+        found.page.wait_for_selector("#error:not([hidden])", timeout=PATIENCE)
         assert message in found.page.locator("#error").inner_text()
 
 
@@ -176,7 +176,7 @@ def test_page_of_contradictory_data_says_so(page_file: Path, tmp_path: Path) -> 
     broken = tmp_path / "broken.html"
     broken.write_text(assembled(json.dumps(data)))  # the checksum fits
     with opened(broken.as_uri(), 900, 640) as found:
-        found.page.wait_for_selector("#error:not([hidden])", timeout=30_000)
+        found.page.wait_for_selector("#error:not([hidden])", timeout=PATIENCE)
         assert "is damaged" in found.page.locator("#error").inner_text()
 
 
@@ -211,25 +211,25 @@ def test_viewer_plays_and_follows_its_file(folder: Path, tmp_path: Path) -> None
     file = tmp_path / "plan.json"
     with served(file, *given) as (address, process), opened(address) as found:
         page = found.page
-        page.get_by_text("Disassembly of three-bars").wait_for(timeout=60_000)
+        page.get_by_text("Disassembly of three-bars").wait_for(timeout=PATIENCE)
         page.wait_for_timeout(9_000)
         first = found.picture()
         assert first.std() > 10
         page.get_by_text("forward", exact=True).click()
-        page.get_by_text("2 of 3").wait_for(timeout=30_000)
+        page.get_by_text("2 of 3").wait_for(timeout=PATIENCE)
         page.wait_for_timeout(6_000)
         assert differ(first, found.picture()) > 0.003
         page.get_by_role("button", name="Play").click()
-        page.get_by_text("3 of 3").wait_for(timeout=120_000)
+        page.get_by_text("3 of 3").wait_for(timeout=PATIENCE)
         page.get_by_role("button", name=re.compile("Play|Pause")).wait_for()
         found.keep("viewer.png")
         good = file.read_text()
         file.write_text(good[: len(good) // 2])
-        page.get_by_text("This cannot be shown").wait_for(timeout=30_000)
+        page.get_by_text("This cannot be shown").wait_for(timeout=PATIENCE)
         assert "not valid JSON" in page.locator("body").inner_text()
         found.keep("viewer-error.png")
         file.write_text(good)
-        page.get_by_text("Disassembly of three-bars").wait_for(timeout=30_000)
+        page.get_by_text("Disassembly of three-bars").wait_for(timeout=PATIENCE)
         assert found.errors == []
         assert all(url.startswith((address, "data:", "blob:", address.replace("http", "ws"))) for url in found.requests)
     assert process.returncode == 0
@@ -241,7 +241,7 @@ def test_viewer_opened_with_a_corrupted_plan_shows_the_error(folder: Path, tmp_p
     file = tmp_path / "plan.json"
     file.write_text(file.read_text().replace('"part": "beam"', '"part": "nothing"'))
     with served(file, *given) as (address, process), opened(address) as found:
-        found.page.get_by_text("This cannot be shown").wait_for(timeout=60_000)
+        found.page.get_by_text("This cannot be shown").wait_for(timeout=PATIENCE)
         assert "no removable part" in found.page.locator("body").inner_text()
         found.keep("viewer-corrupted.png")
     assert process.returncode == 2
@@ -264,8 +264,8 @@ def test_search_can_be_watched(folder: Path, tmp_path: Path) -> None:
         address = next(match[0] for line in lines if (match := re.search(r"http://127\.0\.0\.1:\d+", line)))
         with opened(address) as found:
             page = found.page
-            page.get_by_text("Disassembly of three-bars").wait_for(timeout=120_000)
-            page.get_by_text("best length").wait_for(timeout=30_000)
+            page.get_by_text("Disassembly of three-bars").wait_for(timeout=PATIENCE)
+            page.get_by_text("best length").wait_for(timeout=PATIENCE)
             page.wait_for_timeout(8_000)
             assert found.picture().std() > 10
             assert page.locator(".uplot canvas").count() == 1
