@@ -25,7 +25,7 @@ from takeapart.robot.ik import Solver
 from takeapart.robot.model import RobotModel, copied_load, moved_load
 from takeapart.workcell import Workcell
 
-LIFT_SPACINGS = (0.01, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
+LIFT_SPACINGS = (0.005, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
 
 
 @dataclass(frozen=True, eq=False)

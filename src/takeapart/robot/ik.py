@@ -12,7 +12,7 @@ from takeapart.errors import MissingExtraError
 from takeapart.geometry import Array, pose_inverse
 from takeapart.robot.model import RobotModel
 
-NEARLY = 0.1  # rad; where no solution is inside the limits but one so near to them, it is looked for more closely
+NEARLY = 0.1  # rad; where a sample of all solutions is so near to the limits, some may be inside
 
 
 class Solver(Protocol):
@@ -30,9 +30,8 @@ class Solver(Protocol):
 class InverseKinematics:
     """Configurations that put the tool at a pose.
 
-    A redundant arm has a continuum of them; the library samples it, and searches the intervals inside the joint limits
-    closely where the samples miss them (on average about 7 configurations for the Panda). `docs/benchmarks.md` says
-    what that loses.
+    A redundant arm has a continuum of them; the library samples the part of it inside the joint limits (on average
+    about 7 configurations for the Panda). `docs/benchmarks.md` says what that loses.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -70,12 +69,15 @@ class InverseKinematics:
         found = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False, respect_limits="wrap")
         return np.array([solution.q for solution in found]).reshape(-1, len(self._lower))
 
-    def _within_limits(self, found: Array, T_world_tool: Array) -> Array:
-        beyond = np.maximum(self._lower - found, found - self._upper).max(axis=1, initial=-np.inf)
-        if len(found) and 0 < beyond.min() < NEARLY:
-            closely = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False)
-            return np.array([solution.q for solution in closely]).reshape(-1, len(self._lower))
-        return np.ascontiguousarray(found[beyond <= 0])
+    def _within_limits(self, sampled: Array, T_world_tool: Array) -> Array:
+        """The library's own choice of solutions inside the limits; it is asked only where the samples say that there
+        are some, because it takes a hundred times longer to find that there are none.
+        """
+        beyond = np.maximum(self._lower - sampled, sampled - self._upper).max(axis=1, initial=-np.inf)
+        if not len(sampled) or beyond.min() >= NEARLY:
+            return np.empty((0, len(self._lower)))
+        found = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False)
+        return np.array([solution.q for solution in found]).reshape(-1, len(self._lower))
 
     def _to_flange(self, T_world_tool: Array) -> Array:
         T: Array = self._T_base_world @ T_world_tool @ self._T_tool_flange
