@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -21,6 +22,10 @@ from takeapart.robot.model import RobotModel, load_robot
 from takeapart.robot.world import build_world
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell
+
+# The same inputs in every run of the tests; `make fuzz` looks for new ones.
+hypothesis.settings.register_profile("repeatable", derandomize=True)
+hypothesis.settings.load_profile("repeatable")
 
 
 def first_candidate(options: ProfileOptions, name: str) -> Assembly:

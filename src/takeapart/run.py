@@ -33,6 +33,7 @@ FORMAT, VERSION = "takeapart/run", 1
 MAXIMUM_BYTES = 64 * 2**10  # of run.json
 RUN, JOURNAL, PLAN, LOCK = "run.json", "journal.sqlite", "plan.json", "lock"
 SHOWN_DIFFERENCES = 3
+LONGEST_LIST = 200  # letters of more than one difference
 
 Identity = dict[str, object]
 """What a run is for, as JSON holds it: "assembly", "workcell", "options", "seed", "versions", "sources"."""
@@ -149,8 +150,9 @@ def _require_same(path: Path, identity: Identity) -> None:
         if key not in before or key not in now or before[key] != now[key]
     ]
     if differences:
-        more = len(differences) - SHOWN_DIFFERENCES
-        listed = "; ".join(differences[:SHOWN_DIFFERENCES]) + (f"; and {more} more" if more > 0 else "")
+        told = max(k for k in range(1, SHOWN_DIFFERENCES + 1) if k == 1 or len("; ".join(differences[:k])) <= LONGEST_LIST)
+        more = len(differences) - told
+        listed = "; ".join(differences[:told]) + (f"; and {more} more" if more > 0 else "")
         raise InputError(f"this run was started otherwise: {listed}; take another folder", shown(path.parent))
 
 
