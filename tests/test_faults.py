@@ -153,9 +153,12 @@ def test_another_command_is_refused(change: dict[str, object], message: str, tmp
 def test_many_long_differences_are_one_short_message(tmp_path: Path) -> None:
     with open_run(tmp_path / "run", {f"\U0003549c{k}" * 9: "a" * 35 for k in range(9)}):
         pass
-    with pytest.raises(InputError, match=r"; and 8 more; take another folder$") as caught:
-        with open_run(tmp_path / "run", {f"\U0003549c{k}" * 9: "b" * 35 for k in range(9)}):
-            pass
+    other: Identity = {f"\U0003549c{k}" * 9: "b" * 35 for k in range(9)}
+    with (
+        pytest.raises(InputError, match=r"; and 8 more; take another folder$") as caught,
+        open_run(tmp_path / "run", other),
+    ):
+        pass
     assert len(str(caught.value)) < 300 + len(str(tmp_path))
 
 

@@ -20,7 +20,7 @@ from takeapart.assembly import Assembly
 from takeapart.errors import InputError
 from takeapart.experiments.paper import reproduce
 from takeapart.experiments.paper_jobs import PHASES, load_products, paper_jobs
-from takeapart.experiments.paper_settings import DOUBLE, SINGLE, PaperSettings, full_settings, quick_settings
+from takeapart.experiments.paper_settings import DOUBLE, ONE_PATH, SINGLE, PaperSettings, full_settings, quick_settings
 from takeapart.experiments.paper_tasks import ReplanningTask, SearchTask, TrainingTask
 from takeapart.experiments.workers import LocalWorkers
 from takeapart.files import data_path, load_workcell, save_assembly
@@ -129,7 +129,7 @@ def test_replanning_is_what_a_query_with_as_many_attempts_does(tmp_path: Path) -
             assert getattr(found, "length", None) == length
             assert problem.planner.counts.motion_plans - before == calls
             assert seconds > 0
-    outcome = ReplanningTask(three_bars(), cell, 0, 3, 2).run({}, tmp_path)
+    outcome = ReplanningTask(three_bars(), cell, 0, ONE_PATH, 3, 2).run({}, tmp_path)
     lengths = np.array(outcome["lengths"])
     assert lengths.shape == (2, 3) and (np.diff(lengths, axis=1) <= 0).all()
     assert (np.diff(outcome["motion_plans_per_part"], axis=1) >= 0).all()
@@ -182,7 +182,7 @@ def test_a_search_writes_its_experience_and_trace(tmp_path: Path) -> None:
     (tmp_path / "cell.toml").write_text(WORKCELL)
     cell, out = load_workcell(tmp_path / "cell.toml"), tmp_path / "out"
     options = MctsOptions(memory="paper", search_budget=2, attempts=2)
-    outcome = SearchTask(three_bars(), cell, 0, options, 2, 1e9, record=True).run({}, out)
+    outcome = SearchTask(three_bars(), cell, 0, ONE_PATH, options, 2, 1e9, record=True).run({}, out)
     json.dumps(outcome, allow_nan=False)
     from takeapart.guide.experience import read_experience
 

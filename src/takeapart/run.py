@@ -150,7 +150,9 @@ def _require_same(path: Path, identity: Identity) -> None:
         if key not in before or key not in now or before[key] != now[key]
     ]
     if differences:
-        told = max(k for k in range(1, SHOWN_DIFFERENCES + 1) if k == 1 or len("; ".join(differences[:k])) <= LONGEST_LIST)
+        told = max(
+            k for k in range(1, SHOWN_DIFFERENCES + 1) if k == 1 or len("; ".join(differences[:k])) <= LONGEST_LIST
+        )
         more = len(differences) - told
         listed = "; ".join(differences[:told]) + (f"; and {more} more" if more > 0 else "")
         raise InputError(f"this run was started otherwise: {listed}; take another folder", shown(path.parent))

@@ -86,7 +86,7 @@ def paper_jobs(settings: PaperSettings, products: list[Product]) -> list[Job]:
     jobs = [
         Job(
             f"figure5/{product.name}",
-            ReplanningTask(product.assembly, workcell, seed, settings.replans, settings.repeats),
+            ReplanningTask(product.assembly, workcell, seed, settings.removal, settings.replans, settings.repeats),
         )
         for product in double[: settings.figure_assemblies]
     ]
@@ -121,6 +121,7 @@ def _search(settings: PaperSettings, product: Product, workcell: Workcell, guide
         product.assembly,
         workcell,
         settings.seed,
+        settings.removal,
         settings.mcts,
         settings.episodes,
         settings.queries,

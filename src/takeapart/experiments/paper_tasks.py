@@ -17,6 +17,7 @@ from takeapart.errors import TakeapartError
 from takeapart.experiments.jobs import Outcome
 from takeapart.planning import PlanningOptions, build_problem, search
 from takeapart.problem import AssemblyProblem, Guide
+from takeapart.removal.paths import RemovalOptions
 from takeapart.removal.result import Removal
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.mcts import MctsOptions, mcts
@@ -39,6 +40,7 @@ class ReplanningTask:
     Args:
         assembly, workcell: what is planned.
         seed: of all random choices.
+        removal: how a removal is planned once.
         replans: a removal is planned at most so often.
         repeats: independent ones.
     """
@@ -46,6 +48,7 @@ class ReplanningTask:
     assembly: Assembly
     workcell: Workcell
     seed: int
+    removal: RemovalOptions
     replans: int
     repeats: int
 
@@ -59,6 +62,7 @@ class ReplanningTask:
         return {
             **_data(self.assembly, self.workcell),
             "seed": self.seed,
+            "removal": asdict(self.removal),
             "replans": self.replans,
             "repeats": self.repeats,
         }
@@ -67,7 +71,7 @@ class ReplanningTask:
         """Lengths, m (None where a removal was not found), seconds per part and motion plans per part: for every
         repeat one list, with a value for each number of replans.
         """
-        problem = build_problem(self.assembly, self.workcell)
+        problem = build_problem(self.assembly, self.workcell, PlanningOptions(removal=self.removal))
         edges = feasible_order(problem, self.seed)
         lengths, seconds, plans = [], [], []
         for repeat in range(self.repeats):
@@ -131,6 +135,7 @@ class SearchTask:
     Args:
         assembly, workcell: what is planned.
         seed: of all random choices.
+        removal: how a removal is planned once.
         options: of the search.
         episodes, queries: its budget.
         record: whether experience is written, for training.
@@ -140,6 +145,7 @@ class SearchTask:
     assembly: Assembly
     workcell: Workcell
     seed: int
+    removal: RemovalOptions
     options: MctsOptions
     episodes: int
     queries: float
@@ -158,6 +164,7 @@ class SearchTask:
         return {
             **_data(self.assembly, self.workcell),
             "seed": self.seed,
+            "removal": asdict(self.removal),
             "options": asdict(self.options),
             "episodes": self.episodes,
             "queries": self.queries if math.isfinite(self.queries) else None,
@@ -169,7 +176,7 @@ class SearchTask:
         """Statistics of the search; its trace: rows of episode, removal queries, motion plans, best length so far, m;
         and the processor time, s, that the guide took.
         """
-        problem = build_problem(self.assembly, self.workcell, PlanningOptions(seed=self.seed))
+        problem = build_problem(self.assembly, self.workcell, PlanningOptions(seed=self.seed, removal=self.removal))
         guide = None
         if self.guide is not None:
             guide = TimedGuide(self.assembly, needed[self.guide] / GUIDE_FILE)
