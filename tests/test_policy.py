@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -16,10 +17,10 @@ from small_assemblies import WORKCELL, three_bars
 from takeapart.assembly import members
 from takeapart.cli import main
 from takeapart.errors import InputError
-from takeapart.files import load_plan, save_assembly
+from takeapart.files import data_path, load_assembly, load_plan, save_assembly
 from takeapart.guide.experience import read_experience
 from takeapart.guide.policy import LearnedGuide, guide_path, load_guide
-from takeapart.guide.weights import save_weights
+from takeapart.guide.weights import load_weights, save_weights
 from takeapart.planning import PlanningOptions, build_problem, run_identity, search
 from takeapart.search.result import Budget
 from test_weights import drawn_weights
@@ -81,6 +82,24 @@ def test_no_guide_of_an_unknown_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("takeapart.guide.policy.SHIPPED", "guide/none.safetensors")
     with pytest.raises(InputError, match="no guide comes with this installation"):
         guide_path("default")
+
+
+def test_the_shipped_guide_knows_what_is_left() -> None:
+    """Its values against the lengths of plans, on assemblies that it did not learn from."""
+    path = guide_path("default")
+    assert path.stat().st_size < 2_000_000
+    weights = load_weights(path)
+    assert weights.training["options"]["teacher"] in {"backup", "exact", "dqn"}
+    # Held out of its training; the lengths, m, are those of the shortest plans of docs/results.md.
+    for name, length in (("single/07", 14.3), ("double/02", 22.0)):
+        assembly = load_assembly(data_path(f"{name}.json"))
+        values = LearnedGuide(weights, assembly)([assembly.root])[0]
+        assert sorted(values) == members(assembly.root)
+        assert all(0.9 * length < -value < 1.1 * length for value in values.values())
+        # A state of half as many parts has about half as much left.
+        half = sum(1 << part for part in members(assembly.root)[::2])
+        fewer = LearnedGuide(weights, assembly)([half])[0]
+        assert 0.35 < np.mean(list(fewer.values())) / np.mean(list(values.values())) < 0.65
 
 
 @pytest.fixture
