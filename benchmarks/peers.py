@@ -170,7 +170,7 @@ class Ours:
 
     def shortcut(self, path: Array, seed: int) -> Array:
         rows = waypoints(self.scene, path, SPACING)
-        return shorten(self.scene, rows, 160, SPACING, np.inf, 48, seed) if len(rows) else path
+        return shorten(self.scene, rows, 1e-3, 160, SPACING, np.inf, 48, seed) if len(rows) else path
 
 
 class CalledFromPython:

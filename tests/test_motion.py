@@ -347,7 +347,7 @@ def test_shortening_keeps_ends_and_freedom_and_never_lengthens(robot: RobotModel
         if not len(corners):
             continue
         rows = waypoints(scene, corners, SPACING)
-        after = shorten(scene, rows, 80, SPACING, np.inf, 40, 5)
+        after = shorten(scene, rows, 1e-3, 80, SPACING, np.inf, 40, 5)
         np.testing.assert_array_equal(after[[0, -1]], rows[[0, -1]])
         before_length, length = tool_length(robot, rows), tool_length(robot, after)
         assert length <= before_length + 1e-6
@@ -355,7 +355,7 @@ def test_shortening_keeps_ends_and_freedom_and_never_lengthens(robot: RobotModel
         assert length >= straight - 1e-6
         assert (after >= robot.arm.lower).all() and (after <= robot.arm.upper).all()
         assert not any(touches(scene, q, PADDING - STEP / 2) for q in sampled(after, 0.004))
-        np.testing.assert_array_equal(after, shorten(scene, rows, 80, SPACING, np.inf, 40, 5))
+        np.testing.assert_array_equal(after, shorten(scene, rows, 1e-3, 80, SPACING, np.inf, 40, 5))
         shortened += length < 0.9 * before_length
     assert shortened >= 5
 
@@ -367,7 +367,7 @@ def test_shortening_in_open_space_reaches_the_straight_line(robot: RobotModel) -
     home = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
     corners = home + np.array([[-0.4, 0, 0, 0, 0, 0, 0], [-0.1, -0.5, 0, 0.4, 0, 0, 0], [0.4, 0.2, 0, 0.1, 0, 0, 0]])
     rows = waypoints(scene, corners, SPACING)
-    after = shorten(scene, rows, 160, SPACING, np.inf, 48, 1)
+    after = shorten(scene, rows, 1e-3, 160, SPACING, np.inf, 48, 1)
     straight = float(np.linalg.norm(robot.tool_pose(corners[2])[:3, 3] - robot.tool_pose(corners[0])[:3, 3]))
     assert tool_length(robot, rows) > 1.1 * straight
     assert tool_length(robot, after) == pytest.approx(straight, abs=2e-4)

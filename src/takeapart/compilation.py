@@ -60,13 +60,15 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
 
 
 def compiled_lean(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """As `compiled`, for kernels that allocate nothing: their code does not count references to arrays.
+    """As `compiled`, for kernels that allocate nothing: their code becomes part of every caller's, and does not count
+    references to arrays.
 
-    The counters of the many arrays that a kernel is handed cost more than the work on them (half of the time of a
-    configuration check). The caller holds the arrays as long as the kernel runs, so nothing is lost.
+    Both are about the many arrays that a kernel is handed. Their counters cost more than the work on them, and so does
+    handing them on: a call copies seven words for each. The caller holds the arrays as long as the kernel runs, so
+    nothing is lost.
     """
     # numba's stubs do not know `_nrt`.
-    kernel: Callable[Parameters, Result] = numba.njit(**_options(function, _nrt=False))(function)
+    kernel: Callable[Parameters, Result] = numba.njit(**_options(function, _nrt=False, forceinline=True))(function)
     return kernel
 
 

@@ -115,7 +115,7 @@ def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> b
 
 @compiled_lean
 def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, rows: Floats) -> int:
-    """Rows (R, n) of the tool-straight edge from a to b, without a, with b; 0 if there is none that is free.
+    """Rows (R, n) of the tool-straight edge from a to b, both free, without a, with b; 0 if there is none that is free.
 
     Rows are as close as `piece_count` says for `spacing`, m. The joint-space motion from row to row is free in the
     sense of `piece_free`.
@@ -123,7 +123,7 @@ def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, rows: Floats) 
     count = piece_count(scene, a, b, spacing)
     if count > min(len(rows), MAXIMUM_PIECES):
         return 0
-    if not is_free(scene, b) or not tool_line(scene, a, b, count, rows):
+    if not tool_line(scene, a, b, count, rows):
         return 0
     every = 1
     while every < count:

@@ -6,26 +6,13 @@ import math
 
 import numpy as np
 
-from takeapart.compilation import compiled, compiled_lean
+from takeapart.compilation import compiled
 from takeapart.motion.edges import MAXIMUM_ROWS, project_to_point, tool_edge
 from takeapart.motion.rrt import next_random
 from takeapart.motion.scene import Scene, is_free
 from takeapart.robot.arrays import Flags, Floats, Indices, WorldArrays
-from takeapart.robot.grid import ball_near_world
+from takeapart.robot.grid import line_free
 from takeapart.robot.kinematics import forward
-
-
-@compiled_lean
-def line_free(world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float) -> bool:
-    """Whether a ball can move straight from a to b (3,), m, as far as its samples tell."""
-    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    count = max(1, math.ceil(length / (2.0 * radius)))
-    for k in range(count + 1):
-        s = k / count
-        x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
-        if ball_near_world(world, present, x, y, z, radius):
-            return False
-    return True
 
 
 @compiled
@@ -43,11 +30,13 @@ def nearest_free(scene: Scene, lifted: Floats, goals: Floats, most: int) -> Floa
             distance[g] = min(distance[g], total)
     found = np.empty((most, n))
     count = 0
-    for g in np.argsort(distance):
+    for _ in range(len(goals)):  # mostly a few are enough: no need to sort them all
         if count == most:
             break
-        if is_free(scene, goals[g]):
-            found[count] = goals[g]
+        nearest = int(np.argmin(distance))
+        distance[nearest] = math.inf
+        if is_free(scene, goals[nearest]):
+            found[count] = goals[nearest]
             count += 1
     return found[:count].copy()
 

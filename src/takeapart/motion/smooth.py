@@ -9,14 +9,16 @@ import numpy as np
 from takeapart.compilation import compiled, compiled_lean
 from takeapart.motion.edges import MAXIMUM_ROWS, project_to_point, tool_edge, tool_positions
 from takeapart.motion.rrt import next_random
-from takeapart.motion.scene import Scene
+from takeapart.motion.scene import Scene, is_free
 from takeapart.robot.arrays import Floats
+from takeapart.robot.grid import line_free
 
 
 @compiled
 def shorten(
     scene: Scene,
     path: Floats,
+    radius: float,
     iterations: int,
     spacing: float,
     shorter_than: float,
@@ -31,6 +33,7 @@ def shorten(
 
     Args:
         path: (M, n) rows, rad; the motion from row to row is free.
+        radius: of a ball around the tool that is always inside the held part, m: where it cannot pass, no edge can.
         iterations: moves to try at most.
         spacing: of the rows of the new edges, see `tool_edge`.
         shorter_than: give up early when the path seems unable to become shorter than this, m.
@@ -42,13 +45,13 @@ def shorten(
     """
     n = path.shape[1]
     state = np.array([seed], dtype=np.uint64)
-    rows, spare = np.empty((MAXIMUM_ROWS, n)), np.empty((MAXIMUM_ROWS, n))
+    rows, points, along = np.empty((MAXIMUM_ROWS, n)), np.empty((MAXIMUM_ROWS, 3)), np.empty(MAXIMUM_ROWS)
+    new, new_points = np.empty((MAXIMUM_ROWS, n)), np.empty((MAXIMUM_ROWS, 3))
     total = len(path)
     rows[:total] = path
-    points, along = np.empty((MAXIMUM_ROWS, 3)), np.empty(MAXIMUM_ROWS)
-    new = np.empty((MAXIMUM_ROWS, n))
     via, target = np.empty(n), np.empty(3)
-    length = _measure(scene, rows, total, points, along)
+    tool_positions(scene, rows, total, points)
+    length = _measure(points, total, along)
     straight = math.sqrt(np.sum((points[total - 1] - points[0]) ** 2))
     failures = 0
     for move in range(iterations):
@@ -69,7 +72,9 @@ def shorten(
         if now - chord < 1e-5:
             continue
         if move % 2 == 0 or move < 3:
-            count = tool_edge(scene, rows[i], rows[k], spacing, new)
+            count = 0
+            if line_free(scene.world, scene.present, points[i], points[k], radius):
+                count = tool_edge(scene, rows[i], rows[k], spacing, new)
         else:
             count = 0
             m = i + 1 + int(next_random(state) * (k - i - 1))
@@ -87,29 +92,45 @@ def shorten(
                 second += (target[c] - points[k, c]) ** 2
             if math.sqrt(first) + math.sqrt(second) >= now - 1e-5:
                 continue
+            if not line_free(scene.world, scene.present, points[i], target, radius):
+                continue
+            if not line_free(scene.world, scene.present, target, points[k], radius):
+                continue
             via[:] = rows[m]
-            if project_to_point(scene, via, target[0], target[1], target[2]):
+            if project_to_point(scene, via, target[0], target[1], target[2]) and is_free(scene, via):
                 count = tool_edge(scene, rows[i], via, spacing, new)
                 more = tool_edge(scene, via, rows[k], spacing, new[count:]) if count else 0
                 count = count + more if more else 0
         if count == 0 or total - (k - i) + count > MAXIMUM_ROWS:
             continue
-        rest = total - k - 1  # rows that follow k, which the new ones end with
-        spare[:rest] = rows[k + 1 : total]
-        rows[i + 1 : i + 1 + count] = new[:count]
-        rows[i + 1 + count : i + 1 + count + rest] = spare[:rest]
-        total = i + 1 + count + rest
+        tool_positions(scene, new, count, new_points)
+        _splice(points, total, i, k, new_points, count)
+        total = _splice(rows, total, i, k, new, count)
         before = length
-        length = _measure(scene, rows, total, points, along)
+        length = _measure(points, total, along)
         if before - length > 2e-4:
             failures = 0
     return rows[:total].copy()
 
 
 @compiled_lean
-def _measure(scene: Scene, rows: Floats, total: int, points: Floats, along: Floats) -> float:
-    """Tool positions of the rows, and the length of the tool path up to each, m."""
-    tool_positions(scene, rows, total, points)
+def _splice(rows: Floats, total: int, i: int, k: int, new: Floats, count: int) -> int:
+    """Puts `count` new rows in the place of rows i + 1 to k of the first `total`; returns how many there are then."""
+    shift = count - (k - i)
+    rest = total - k - 1
+    for r in range(rest):  # from the end where they come towards it, so that none is lost
+        source = total - 1 - r if shift > 0 else k + 1 + r
+        for j in range(rows.shape[1]):
+            rows[source + shift, j] = rows[source, j]
+    for r in range(count):
+        for j in range(rows.shape[1]):
+            rows[i + 1 + r, j] = new[r, j]
+    return total + shift
+
+
+@compiled_lean
+def _measure(points: Floats, total: int, along: Floats) -> float:
+    """Length of the way through points (M, 3) up to each, m."""
     along[0] = 0.0
     for k in range(1, total):
         squared = 0.0

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import product
 
 import numpy as np
 
@@ -46,20 +48,27 @@ def grasp_candidates(part: Part, maximum_opening: float) -> list[GraspCandidate]
     turns, widths = [], []
     for approach_axis, closing_axis in (sides, sides[::-1]):
         width = 2 * float(box.half_extents[closing_axis])
-        if width > maximum_opening:
-            continue
-        for approach_sign in (1.0, -1.0):
-            for closing_sign in (1.0, -1.0):
-                z, y = np.zeros(3), np.zeros(3)
-                z[approach_axis], y[closing_axis] = approach_sign, closing_sign
-                turns.append(np.column_stack([np.cross(y, z), y, z]))
-                widths.append(width)
-    T = np.zeros((len(distances), len(turns), 4, 4))
-    T[..., :3, :3] = np.array(turns).reshape(-1, 3, 3)
+        if width <= maximum_opening:
+            turns.append(_turns(approach_axis, closing_axis))
+            widths += [width] * len(turns[-1])
+    if not turns:
+        return []
+    T = np.zeros((len(distances), len(widths), 4, 4))
+    T[..., :3, :3] = np.concatenate(turns)
     T[..., long_axis, 3] = distances[:, None]
     T[..., 3, 3] = 1.0
     poses = (box.T_frame_box @ T).reshape(-1, 4, 4)
     return [GraspCandidate(pose, width) for pose, width in zip(poses, widths * len(distances), strict=True)]
+
+
+@cache
+def _turns(approach_axis: int, closing_axis: int) -> Array:
+    """The four orientations (4, 3, 3) of the tool that approach along one axis, either way, and close along another."""
+    turns = np.zeros((4, 3, 3))
+    for turn, (approach_sign, closing_sign) in zip(turns, product((1.0, -1.0), repeat=2), strict=True):
+        turn[approach_axis, 2], turn[closing_axis, 1] = approach_sign, closing_sign
+        turn[:, 0] = np.cross(turn[:, 1], turn[:, 2])
+    return turns
 
 
 def straight_line_bounds(part: Part, grasps: Sequence[GraspCandidate], lift_height: float, goal: Array) -> Array:

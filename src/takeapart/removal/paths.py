@@ -37,6 +37,8 @@ class RemovalOptions:
         waypoint_spacing: the tool moves about this from row to row of a path while it is planned, m.
         row_spacing: nothing moves more than this between the rows of a removal, m.
         tolerance: a grasp that cannot gain more than this over the best found is not planned, m.
+        first_tolerance: the same while no removal is known from before: much of a query's time went into the last
+            centimetre, which searches ask for again where it matters.
         straight_attempts: pairs of lifted and goal configuration tried with a straight tool path, per grasp.
         bend_samples: points drawn at which a path of two straight legs may bend, per grasp position.
         bend_attempts: tries with the arm to bend there, per grasp.
@@ -56,6 +58,7 @@ class RemovalOptions:
     waypoint_spacing: float = 0.05
     row_spacing: float = 0.016
     tolerance: float = 0.002
+    first_tolerance: float = 0.015
     straight_attempts: int = 32
     bend_samples: int = 200
     bend_attempts: int = 80
@@ -98,6 +101,7 @@ class PathSearch:
         padding: distance kept, m.
         lift: height, m.
         goal: (3,) m.
+        shorter_than: length of the removal known from before, m; infinite if there is none.
     """
 
     def __init__(
@@ -113,6 +117,7 @@ class PathSearch:
         padding: float,
         lift: float,
         goal: Array,
+        shorter_than: float,
         rng: np.random.Generator,
         work: Workspace,
     ) -> None:
@@ -121,12 +126,13 @@ class PathSearch:
         self.padding, self.lift, self.goal, self.rng, self.work = padding, lift, goal, rng, work
         self.hands = reach.hands(part, work)
         self.motion_plans = 0
+        self._tolerance = options.first_tolerance if math.isinf(shorter_than) else options.tolerance
         self._scenes: dict[int, Scene] = {}
         self._goals: dict[int, Array] = {}
 
     def open_grasps(self, limit: float) -> list[int]:
         """Grasps that the hand can take and that can still be shorter than a removal of the limit's length, m."""
-        most = limit - self.options.tolerance
+        most = limit - self._tolerance
         return [
             number
             for number, hand in enumerate(self.hands)
@@ -170,7 +176,7 @@ class PathSearch:
         """Paths of one or two straight legs, each shorter than the one before; limits in m, lift included."""
         options, tried = self.options, 0
         for estimate, number, points in self._estimates(open_, limit):
-            if estimate >= limit - options.tolerance or tried >= options.leg_grasps:
+            if estimate >= limit - self._tolerance or tried >= options.leg_grasps:
                 return
             branches = self.branches(number)
             if not branches:
@@ -241,7 +247,7 @@ class PathSearch:
             if failures >= options.tree_failures / (1 if math.isinf(limit) else 3):
                 return
             number = usable[turn % len(usable)]
-            branches = self.branches(number) if self.hands[number].bound < limit - options.tolerance else ()
+            branches = self.branches(number) if self.hands[number].bound < limit - self._tolerance else ()
             if not branches:
                 usable.remove(number)
                 continue
@@ -260,8 +266,7 @@ class PathSearch:
         later: list[int] = []
         seen: set[tuple[int, ...]] = set()
         for number in sorted(open_, key=lambda n: (self.hands[n].steepness, n)):
-            T = self.hands[number].candidate.T_part_tool
-            kind = (*np.round(T[:3, 2]).astype(int).tolist(), int(T[:3, 3].sum() // 0.06))
+            kind = self.hands[number].kind
             (later if kind in seen else first).append(number)
             seen.add(kind)
         return first + later
@@ -290,6 +295,7 @@ class PathSearch:
         rows = shorten(
             self.scene(path.number),
             path.rows,
+            self.hands[path.number].radius,
             moves,
             options.waypoint_spacing,
             longest,

@@ -142,6 +142,7 @@ class RemovalPlanner:
             self._padding,
             self.workcell.lift_height,
             self.workcell.goal,
+            limit,
             rng,
             work,
         )

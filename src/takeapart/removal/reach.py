@@ -39,6 +39,7 @@ class Hand:
         load: fingers, and the part with its own frame for the tool's.
         T_tool_part: (4, 4).
         steepness: vertical part of the approach direction, -1 from above: those grasps are the likeliest to be reached.
+        kind: grasps of one kind have the same approach direction and stand within 6 cm.
         partner: number of the grasp at the same place with the fingers exchanged.
         blockers: parts that hand or lifted part would hit; None if it would hit the part itself or what never leaves.
         line: parts that the ball would hit on the straight line to the goal; None for what never leaves.
@@ -51,6 +52,7 @@ class Hand:
     load: HeldArrays
     T_tool_part: Array
     steepness: float
+    kind: tuple[int, ...]
     partner: int | None
     blockers: int | None
     line: int | None
@@ -242,6 +244,7 @@ class Reach:
         partners: list[int | None] = [None] * len(candidates)
         for k in np.nonzero(exchanged)[0].tolist():
             partners[k], partners[k + 1] = k + 1, k
+        kinds = np.column_stack([np.round(poses[:, :3, 2]), poses[:, :3, 3].sum(axis=1) // 0.06]).astype(int).tolist()
         states, line_states = states_of(hits), states_of(lines)
         return tuple(
             Hand(
@@ -252,6 +255,7 @@ class Reach:
                 loads[candidate.width],
                 inverses[k],
                 steepness,
+                tuple(kinds[k]),
                 partners[k],
                 None if stuck else states[k],
                 None if walled else line_states[k],

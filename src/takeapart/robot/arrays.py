@@ -86,7 +86,8 @@ class Workspace(NamedTuple):
     R_tool: Floats  # (3, 3)
     p_tool: Floats  # (3,)
     body: Floats  # (B, 3) centres of the balls around the bodies in the world
-    x: Floats  # (S,) centres of the arm's spheres in the world
+    placed: Flags  # (B,) whether the spheres of a body were placed: few bodies come near anything
+    x: Floats  # (S,) centres of the arm's spheres in the world, where their body was placed
     y: Floats  # (S,)
     z: Floats  # (S,)
     margin: Floats  # (B,) m, how far the bodies move in the motion that is looked at
@@ -110,6 +111,7 @@ def workspace(arm: ArmArrays, boxes: int) -> Workspace:
         np.zeros((3, 3)),
         np.zeros(3),
         np.zeros((len(arm.body_frame), 3)),
+        np.zeros(len(arm.body_frame), np.uint8),
         np.zeros(len(arm.sphere_radius)),
         np.zeros(len(arm.sphere_radius)),
         np.zeros(len(arm.sphere_radius)),

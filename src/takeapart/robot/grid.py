@@ -122,6 +122,19 @@ def ball_near_world(world: WorldArrays, present: Flags, x: float, y: float, z: f
 
 
 @compiled_lean
+def line_free(world: WorldArrays, present: Flags, a: Floats, b: Floats, radius: float) -> bool:
+    """Whether a ball can move straight from a to b (3,), m, as far as its samples tell."""
+    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    count = max(1, math.ceil(length / (2.0 * radius)))
+    for k in range(count + 1):
+        s = k / count
+        x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+        if ball_near_world(world, present, x, y, z, radius):
+            return False
+    return True
+
+
+@compiled_lean
 def mark_ball(world: WorldArrays, x: float, y: float, z: float, r: float, hits: Flags) -> None:
     """Marks in `hits` every owner that a ball touches."""
     cell = cell_of(world, x, y, z)

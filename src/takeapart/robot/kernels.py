@@ -15,6 +15,7 @@ from takeapart.robot.kinematics import (
     place,
     place_box,
     place_group,
+    place_spheres,
     set_still,
 )
 
@@ -117,6 +118,7 @@ def body_hits_world(
     if is_far(world, work.body, b, arm.body_radius[b] + padding):
         return False
     found = False
+    place_spheres(arm, work, b)
     for s in range(arm.body_start[b], arm.body_start[b + 1]):
         x, y, z = work.x[s], work.y[s], work.z[s]
         cell = cell_of(world, x, y, z)
@@ -182,6 +184,8 @@ def _hits_itself(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspa
 
 @compiled_lean
 def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspace) -> bool:
+    place_spheres(arm, work, a)
+    place_spheres(arm, work, b)
     x, y, z, radius = work.x, work.y, work.z, arm.sphere_radius
     bx, by, bz = work.body[b, 0], work.body[b, 1], work.body[b, 2]
     for s in range(arm.body_start[a], arm.body_start[a + 1]):
@@ -199,6 +203,7 @@ def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspac
 
 @compiled_lean
 def _body_meets_group(arm: ArmArrays, held: HeldArrays, b: int, g: int, padding: float, work: Workspace) -> bool:
+    place_spheres(arm, work, b)
     for s in range(arm.body_start[b], arm.body_start[b + 1]):
         x, y, z, r = work.x[s], work.y[s], work.z[s], arm.sphere_radius[s] + padding
         if not ball_meets_box(x, y, z, r, work.group, work.group_axes, held.group_half, g):

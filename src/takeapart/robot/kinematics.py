@@ -19,8 +19,6 @@ import numpy as np
 from takeapart.compilation import compiled_lean
 from takeapart.robot.arrays import ArmArrays, Floats, HeldArrays, Workspace
 
-ONE = np.uint64(1)
-
 
 @compiled_lean
 def forward(arm: ArmArrays, q: Floats, work: Workspace) -> None:
@@ -91,23 +89,31 @@ def place(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace) -> None:
 
 @compiled_lean
 def place_bodies(arm: ArmArrays, work: Workspace) -> None:
-    """World centres of the arm's spheres and of the balls around its bodies. Needs `forward` first."""
-    R, p = work.R, work.p
-    x, y, z = arm.sphere_x, arm.sphere_y, arm.sphere_z
+    """World centres of the balls around the arm's bodies. Needs `forward` first."""
+    R, p, c = work.R, work.p, arm.body_center
     for b in range(np.uint64(len(arm.body_frame))):
         f = arm.body_frame[b]
-        r00, r01, r02 = R[f, 0, 0], R[f, 0, 1], R[f, 0, 2]
-        r10, r11, r12 = R[f, 1, 0], R[f, 1, 1], R[f, 1, 2]
-        r20, r21, r22 = R[f, 2, 0], R[f, 2, 1], R[f, 2, 2]
-        px, py, pz = p[f, 0], p[f, 1], p[f, 2]
-        c0, c1, c2 = arm.body_center[b, 0], arm.body_center[b, 1], arm.body_center[b, 2]
-        work.body[b, 0] = r00 * c0 + r01 * c1 + r02 * c2 + px
-        work.body[b, 1] = r10 * c0 + r11 * c1 + r12 * c2 + py
-        work.body[b, 2] = r20 * c0 + r21 * c1 + r22 * c2 + pz
-        for s in range(arm.body_start[b], arm.body_start[b + ONE]):
-            work.x[s] = r00 * x[s] + r01 * y[s] + r02 * z[s] + px
-            work.y[s] = r10 * x[s] + r11 * y[s] + r12 * z[s] + py
-            work.z[s] = r20 * x[s] + r21 * y[s] + r22 * z[s] + pz
+        for i in range(3):
+            work.body[b, i] = R[f, i, 0] * c[b, 0] + R[f, i, 1] * c[b, 1] + R[f, i, 2] * c[b, 2] + p[f, i]
+        work.placed[b] = 0
+
+
+@compiled_lean
+def place_spheres(arm: ArmArrays, work: Workspace, b: int) -> None:
+    """World centres of the spheres of a body, unless they are there already. Needs `place_bodies` first."""
+    if work.placed[b]:
+        return
+    work.placed[b] = 1
+    R, p, f = work.R, work.p, arm.body_frame[b]
+    x, y, z = arm.sphere_x, arm.sphere_y, arm.sphere_z
+    r00, r01, r02 = R[f, 0, 0], R[f, 0, 1], R[f, 0, 2]
+    r10, r11, r12 = R[f, 1, 0], R[f, 1, 1], R[f, 1, 2]
+    r20, r21, r22 = R[f, 2, 0], R[f, 2, 1], R[f, 2, 2]
+    px, py, pz = p[f, 0], p[f, 1], p[f, 2]
+    for s in range(arm.body_start[b], arm.body_start[b + 1]):
+        work.x[s] = r00 * x[s] + r01 * y[s] + r02 * z[s] + px
+        work.y[s] = r10 * x[s] + r11 * y[s] + r12 * z[s] + py
+        work.z[s] = r20 * x[s] + r21 * y[s] + r22 * z[s] + pz
 
 
 @compiled_lean
