@@ -277,6 +277,20 @@ def test_inverse_kinematics_hits_the_pose_within_the_limits(robot: RobotModel) -
     assert missing <= 10
 
 
+def test_inverse_kinematics_gives_what_the_library_gives_for_these_limits(robot: RobotModel) -> None:
+    """Samples inside the limits are used as they are: the library, asked for solutions inside, has no others."""
+    ik = InverseKinematics(robot)
+    T_base_world = pose_inverse(robot.T_world_base)
+    T_tool_flange = pose_inverse(robot.T_flange_tool)
+    for q in random_configurations(robot, 60, np.random.default_rng(11)):
+        target = robot.tool_pose(q)
+        expected = franka_panda_ik.solve(T_base_world @ target @ T_tool_flange, allow_rescue=False)
+        found = ik.solve(target)
+        assert len(found) == len(expected)
+        for solution in expected:
+            assert np.abs(found - solution.q).max(axis=1).min() < 1e-9
+
+
 def test_inverse_kinematics_finds_nothing_out_of_reach(robot: RobotModel) -> None:
     target = np.eye(4)
     target[:3, 3] = robot.T_world_base[:3, 3] + [2.0, 0.0, 0.5]

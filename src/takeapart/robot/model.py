@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
@@ -96,15 +97,16 @@ class RobotModel:
         part = [box.moved(T_tool_part) for box in body] if T_tool_part is not None else []
         boxes = fingers + part
         groups = [_box_around(fingers), _box_around(part)]
-        probes = [(center, radius, h) for h, box in enumerate(boxes) for center, radius in _probes(box)]
+        centers, radii = zip(*(_probes(box) for box in boxes), strict=True)
+        counts = [len(found) for found in centers]
         return HeldArrays(
             center=np.array([box.T_frame_box[:3, 3] for box in boxes]),
             axes=np.ascontiguousarray([box.T_frame_box[:3, :3].T for box in boxes]),
             half=np.array([box.half_extents for box in boxes]),
             meets_world=np.ones(len(boxes), dtype=np.uint8),
-            probe_center=np.array([center for center, _, _ in probes]),
-            probe_radius=np.array([radius for _, radius, _ in probes]),
-            probe_box=np.array([h for _, _, h in probes], dtype=np.int32),
+            probe_center=np.concatenate(centers),
+            probe_radius=np.repeat(radii, counts),
+            probe_box=np.repeat(np.arange(len(boxes), dtype=np.int32), counts),
             group=np.array([0, len(fingers), len(boxes)], dtype=np.int32),
             first_wall=len(fingers) + gripped,
             group_center=np.array([box.T_frame_box[:3, 3] for box in groups]),
@@ -144,16 +146,14 @@ def _box_around(boxes: Sequence[OrientedBox]) -> OrientedBox:
     return OrientedBox(T, (high - low) / 2 + 1e-9)
 
 
-def _probes(box: OrientedBox) -> list[tuple[Array, float]]:
-    """Small spheres that together contain a box: it is cut into short cells, each in its own sphere."""
-    edge = min(max(4 * float(np.sort(box.half_extents)[1]), 0.016), LARGEST_PROBE)
-    counts = np.maximum(1, np.ceil(2 * box.half_extents / edge - 1e-9).astype(int))
+def _probes(box: OrientedBox) -> tuple[Array, float]:
+    """Small spheres that together contain a box, centres (C, 3), m, and radius, m: each contains a cell of it."""
+    half = box.half_extents.tolist()
+    edge = min(max(4 * sorted(half)[1], 0.016), LARGEST_PROBE)
+    counts = np.array([max(1, math.ceil(2 * h / edge - 1e-9)) for h in half])
     cell = box.half_extents / counts
-    radius = float(np.linalg.norm(cell)) + 1e-9
-    offsets = np.stack(np.meshgrid(*[(2 * np.arange(c) + 1) - c for c in counts], indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
-    return [(box.T_frame_box[:3, 3] + box.T_frame_box[:3, :3] @ (offset * cell), radius) for offset in offsets]
+    offsets = 2 * np.indices(counts.tolist()).reshape(3, -1).T + 1 - counts
+    return box.T_frame_box[:3, 3] + offsets * cell @ box.T_frame_box[:3, :3].T, math.hypot(*cell) + 1e-9
 
 
 def load_robot(workcell: Workcell) -> RobotModel:
