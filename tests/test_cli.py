@@ -140,6 +140,7 @@ def test_broken_input_is_one_line_and_touches_nothing(folder: Path, command: str
         (["plan", "two-bars.json", "--seconds", "nan"], "budget.seconds: nan; must be above 0"),
         (["plan", "two-bars.json", "--memory", "paper"], "--memory goes with --search mcts only, not with exact"),
         (["plan", "two-bars.json", "--search", "mcts", "--workers", "2"], "--workers goes with --search exact only"),
+        (["plan", "two-bars.json", "--search", "beam", "--states", "9"], "--states goes with --search exact only"),
         (
             ["plan", "two-bars.json", "--workcell", "ur5"],
             "unknown workcell 'ur5'; valid: a path that ends in .toml, panda",

@@ -99,6 +99,12 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     "while that gains 0.1 % each time; 0 ends with the proof.  [default: 8]",
 )
 @click.option(
+    "--states",
+    type=click.IntRange(1, 10**9),
+    help="exact only. Up to so many reachable states are enumerated, for a third of a gigabyte the million; with more, "
+    "best-first search takes over.  [default: 2000000]",
+)
+@click.option(
     "--out", type=FILE, help="The plan file.  [default: <name of the assembly file>.plan.json in the current folder]"
 )
 @click.option(
@@ -141,6 +147,7 @@ def plan(
     attempts: int,
     workers: int | None,
     refine: int | None,
+    states: int | None,
     out: Path | None,
     run: Path | None,
     guide: Path | None,
@@ -158,10 +165,9 @@ def plan(
 
     if memory is not None and search != "mcts":
         raise click.UsageError(f"--memory goes with --search mcts only, not with {search}")
-    if workers is not None and search != "exact":
-        raise click.UsageError(f"--workers goes with --search exact only, not with {search}")
-    if refine is not None and search != "exact":
-        raise click.UsageError(f"--refine goes with --search exact only, not with {search}")
+    for option, value in {"--workers": workers, "--refine": refine, "--states": states}.items():
+        if value is not None and search != "exact":
+            raise click.UsageError(f"{option} goes with --search exact only, not with {search}")
     if guide is not None and search not in GUIDED:
         raise click.UsageError(f"--guide goes with --search {', '.join(GUIDED)} only, not with {search}")
     if experience is not None and search not in RECORDED:
@@ -169,7 +175,9 @@ def plan(
     out = out or Path(f"{assembly.stem}.plan.json")
     product, cell = load_assembly(assembly), load_workcell(workcell)
     require_output(out, assembly, Path(workcell))
-    options = options_of(search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1, refine)
+    options = options_of(
+        search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1, refine, states
+    )
     advice = loaded_guide(guide, product)
     with recorder(experience, product, options) as record, live_view(product, cell) if watch else nullcontext() as live:
         made, interrupted = make_plan(product, cell, options, run, advice, record, live)
@@ -193,6 +201,7 @@ def options_of(
     attempts: int = 1,
     workers: int = 1,
     refine: int | None = None,
+    states: int | None = None,
 ) -> PlanningOptions:
     """The command's options as those of the library."""
     from takeapart.planning import PlanningOptions
@@ -205,7 +214,13 @@ def options_of(
     return replace(
         options,
         mcts=replace(options.mcts, memory=memory, attempts=attempts),
-        exact=replace(options.exact, attempts=attempts, workers=workers, refinement=refinement),
+        exact=replace(
+            options.exact,
+            attempts=attempts,
+            workers=workers,
+            refinement=refinement,
+            state_limit=states or options.exact.state_limit,
+        ),
         beam=replace(options.beam, attempts=attempts),
         order=replace(options.order, attempts=attempts),
         restarts=replace(options.restarts, order=replace(options.restarts.order, attempts=attempts)),
