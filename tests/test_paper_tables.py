@@ -31,6 +31,7 @@ from takeapart.experiments.paper_tables import (
     comparison_markdown,
     equal_markdown,
     figure_markdown,
+    orders_markdown,
     savings_markdown,
     table_markdown,
 )
@@ -69,7 +70,8 @@ REFERENCE = Reference(14.2, 14.1, 12.9, 176, 1500)
 
 def rows(kind: str, *guided: SearchRun, count: int = 2) -> list[Row]:
     guides = dict(zip(("single", "double"), guided, strict=False))
-    return [Row(Product(kind, k, two_bars()), VANILLA, guides, REFERENCE) for k in range(1, count + 1)]
+    lengths = {"random": 15.0, "vanilla": 14.3, "exact": 14.0, **dict.fromkeys(guides, 14.14)}
+    return [Row(Product(kind, k, two_bars()), VANILLA, guides, REFERENCE, lengths) for k in range(1, count + 1)]
 
 
 def table(text: str) -> list[dict[str, str]]:
@@ -115,6 +117,16 @@ def test_savings_are_counted_to_vanillas_last_length() -> None:
     assert found.saved == pytest.approx(0.6)
     (never,) = savings(rows("single", FAILED, count=1))
     assert never.guided == math.inf and never.saved == -math.inf
+
+
+def test_orders_are_told_from_paths() -> None:
+    lines = [line.strip("| ").split(" | ") for line in orders_markdown(rows("single", GUIDED)).splitlines()[2:]]
+    assert lines == [
+        ["D1, random", "2", "-", "15.00", "-", "7.1 ± 0.0 %"],
+        ["D1, vanilla", "2", "14.50", "14.30", "1.4%", "2.1 ± 0.0 %"],
+        ["D1, exact", "2", "14.20", "14.00", "1.4%", "0.0 ± 0.0 %"],
+        ["D1, guided, guide of D1", "2", "14.40", "14.14", "1.8%", "1.0 ± 0.0 %"],
+    ]
 
 
 def test_table_1_as_csv() -> None:

@@ -49,6 +49,7 @@ def small_settings(folder: Path) -> PaperSettings:
         episodes=2,
         training={"steps": 4, "batch": 4, "evaluate_every": 2},
         reference_queries=20,
+        order_attempts=2,
     )
 
 
@@ -59,7 +60,16 @@ def without_times(text: str) -> list[dict[str, str]]:
     ]
 
 
-TABLES = ("table1.csv", "table2.csv", "figure5.csv", "equal_plans.csv", "savings.csv", "traces.csv", "reference.csv")
+TABLES = (
+    "table1.csv",
+    "table2.csv",
+    "figure5.csv",
+    "equal_plans.csv",
+    "savings.csv",
+    "traces.csv",
+    "reference.csv",
+    "orders.csv",
+)
 
 MAIN = """
 import sys
@@ -87,7 +97,7 @@ def test_a_killed_run_goes_on_to_the_same_tables(tmp_path: Path) -> None:
     script.write_text(MAIN)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     process = subprocess.Popen([sys.executable, str(script), str(killed)], env=environment)
-    while len(list((killed / "work" / "jobs").rglob("*.json"))) < 6:  # of 21: some searches and a guide
+    while len(list((killed / "work" / "jobs").rglob("*.json"))) < 6:  # of 25: some searches and a guide
         assert process.poll() is None
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
@@ -103,7 +113,22 @@ def test_a_killed_run_goes_on_to_the_same_tables(tmp_path: Path) -> None:
     best = {
         row["set"] + row["id"]: float(row["length"]) for row in without_times((whole / "reference.csv").read_text())
     }
+    orders = {
+        row["set"] + row["id"] + row["order"]: float(row["length"])
+        for row in without_times((whole / "orders.csv").read_text())
+    }
+    assert set(orders) == {
+        f"{place}{order}"
+        for place, searches in {
+            "single1": ["D1"],
+            "single2": ["D1"],
+            "double1": ["D1", "D2"],
+            "double2": ["D1", "D2"],
+        }.items()
+        for order in ["random", "vanilla", "exact", *searches]
+    }
     for row in rows:
+        assert orders[f"double{row['id']}vanilla"] <= float(row["vanilla_shortest"]) + 0.01
         assert float(row["vanilla_initial"]) >= float(row["vanilla_shortest"]) >= best[f"double{row['id']}"] - 0.01
         assert 1 <= int(row["guided_d1_episode"]) <= 2
         assert int(row["vanilla_shortest_motion_plans"]) <= int(row["vanilla_motion_plans"])
@@ -139,7 +164,7 @@ def test_the_full_run_has_all_rows_of_the_paper() -> None:
     settings = full_settings()
     jobs = {job.name: job for job in paper_jobs(settings, load_products(settings))}
     count = {phase: sum(job.phase == phase for job in jobs.values()) for phase in PHASES}
-    assert count == {"figure5": 3, "vanilla": 21, "guide": 22, "guided": 28, "reference": 21}
+    assert count == {"figure5": 3, "vanilla": 21, "guide": 22, "guided": 28, "reference": 21, "orders": 21}
     # Leave one out: a guide never sees the assembly on which it is tried.
     assert len(jobs["guide/single-without-03"].needs) == 13
     assert "vanilla/single-03" not in jobs["guide/single-without-03"].needs

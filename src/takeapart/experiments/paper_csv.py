@@ -117,6 +117,16 @@ def traces_csv(rows: Sequence[Row]) -> str:
     return as_csv(["set", "id", "search", "queries", "motion_plans", "length"], lines)
 
 
+def orders_csv(rows: Sequence[Row]) -> str:
+    """orders.csv: the orders found, planned again."""
+    lines: list[list[Cell]] = [
+        [row.product.kind, row.product.number, TITLES.get(key, key), length]
+        for row in rows
+        for key, length in row.orders.items()
+    ]
+    return as_csv(["set", "id", "order", "length"], lines)
+
+
 def reference_csv(rows: Sequence[Row]) -> str:
     """reference.csv."""
     header = ["set", "id", "length", "sequence_bound", "straight_line_bound", "queries", "motion_plans"]

@@ -6,6 +6,7 @@ guide/single-without-01    trained on D1 without one assembly; double likewise
 guide/single-all           trained on all of D1, for D2
 guided/single-01/single    search with the guide of that set
 reference/single-01        exact search
+orders/single-01           the orders that these searches found, planned again with all effort
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from takeapart.assembly import Assembly
 from takeapart.experiments.jobs import Job
 from takeapart.experiments.paper_settings import SETS, PaperSettings
-from takeapart.experiments.paper_tasks import ReferenceTask, ReplanningTask, SearchTask, TrainingTask
+from takeapart.experiments.paper_tasks import OrdersTask, ReferenceTask, ReplanningTask, SearchTask, TrainingTask
 from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.workcell import Workcell
 
@@ -26,6 +27,7 @@ PHASES = {
     "guide": "training",
     "guided": "guided MCTS",
     "reference": "exact search",
+    "orders": "orders planned again",
 }
 
 
@@ -113,6 +115,10 @@ def paper_jobs(settings: PaperSettings, products: list[Product]) -> list[Job]:
         )
         for product in products
     ]
+    for product in products:
+        searches = [f"vanilla/{product.name}", *(guided_name(product, kind) for kind in guides_for(product))]
+        task = OrdersTask(product.assembly, workcell, seed, settings.order_attempts)
+        jobs.append(Job(f"orders/{product.name}", task, (*searches, f"reference/{product.name}")))
     return jobs
 
 

@@ -74,6 +74,7 @@ def write_results(found: Findings, out: Path) -> list[Path]:
         "savings.csv": paper_csv.savings_csv(found.savings),
         "traces.csv": paper_csv.traces_csv(found.rows),
         "reference.csv": paper_csv.reference_csv(found.rows),
+        "orders.csv": paper_csv.orders_csv(found.rows),
     }
     plots = draw_all(found.rows, found.replannings, found.savings, out)
     blocks = report_blocks(found)
@@ -95,6 +96,7 @@ BLOCK_TITLES = {
     "results-equal": "At equal motion plans",
     "results-savings": "Planner calls saved",
     "results-reference": "Room to gain",
+    "results-orders": "Order and paths",
     "results-figure5": "Fig. 5",
     "results-time": "Where the time goes",
 }
@@ -113,6 +115,7 @@ def report_blocks(found: Findings) -> dict[str, str]:
         "results-equal": paper_tables.equal_markdown(found.rows),
         "results-savings": paper_tables.savings_markdown(found.savings),
         "results-reference": paper_tables.reference_markdown(found.rows),
+        "results-orders": paper_tables.orders_markdown(found.rows),
         "results-figure5": paper_tables.figure_markdown(found.replannings),
         "results-time": paper_tables.time_markdown(found.results),
     }

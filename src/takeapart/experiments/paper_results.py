@@ -106,12 +106,15 @@ class Row:
         vanilla: search without a guide.
         guided: searches with the guides trained on the data sets.
         reference: exact search.
+        orders: lengths of the orders that were found, each with all of the planner's effort, m; by "random", "vanilla",
+            the guide's data set, "exact". Infinite where one of its removals was not found again.
     """
 
     product: Product
     vanilla: SearchRun
     guided: Mapping[str, SearchRun]
     reference: Reference
+    orders: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +180,7 @@ def table_rows(products: Sequence[Product], results: Mapping[str, Kept]) -> list
             search_run(results[f"vanilla/{product.name}"].outcome),
             {kind: search_run(results[guided_name(product, kind)].outcome) for kind in guides_for(product)},
             _reference(results[f"reference/{product.name}"].outcome),
+            _orders(product, results[f"orders/{product.name}"].outcome),
         )
         for product in products
     ]
@@ -214,6 +218,13 @@ def savings(rows: Sequence[Row]) -> list[Saving]:
         for kind, guided in row.guided.items()
         if math.isfinite((target := row.vanilla.shortest).length)
     ]
+
+
+def _orders(product: Product, outcome: Outcome) -> dict[str, float]:
+    names = {"random": "random", "vanilla": f"vanilla/{product.name}", "exact": f"reference/{product.name}"}
+    names |= {kind: guided_name(product, kind) for kind in guides_for(product)}
+    lengths = outcome["lengths"]
+    return {key: math.inf if lengths[name] is None else float(lengths[name]) for key, name in names.items()}
 
 
 def _reference(outcome: Outcome) -> Reference:

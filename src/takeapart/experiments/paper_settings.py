@@ -42,6 +42,7 @@ class PaperSettings:
         queries: limit of removal queries of every search.
         training: options of `guide.training.TrainingOptions` that differ from their defaults.
         reference_queries: of the exact search that says how much there was to gain.
+        order_attempts: how often each removal of an order that was found is planned again, to judge the order alone.
     """
 
     single: tuple[str, ...] = SINGLE
@@ -57,12 +58,21 @@ class PaperSettings:
     queries: float = math.inf
     training: Mapping[str, Any] = field(default_factory=lambda: {"teacher": "backup"})
     reference_queries: int = 1500
+    order_attempts: int = 8
 
     def __post_init__(self) -> None:
         for name in SETS:
             if len(getattr(self, name)) < 2:
                 raise InputError("at least two assemblies are needed, to leave one out", f"settings.{name}")
-        for name in ("figure_assemblies", "replans", "repeats", "episodes", "queries", "reference_queries"):
+        for name in (
+            "figure_assemblies",
+            "replans",
+            "repeats",
+            "episodes",
+            "queries",
+            "reference_queries",
+            "order_attempts",
+        ):
             if getattr(self, name) < 1:
                 raise InputError(f"{getattr(self, name)}; must be at least 1", f"settings.{name}")
 
@@ -86,4 +96,5 @@ def quick_settings(seed: int = 0) -> PaperSettings:
         queries=200,
         training={"teacher": "backup", "steps": 40, "batch": 16, "evaluate_every": 20},
         reference_queries=30,
+        order_attempts=1,
     )

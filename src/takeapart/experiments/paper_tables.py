@@ -171,6 +171,39 @@ def reference_markdown(rows: Sequence[Row]) -> str:
     return markdown_table([*header, "exact is shorter by", "no order is shorter by more than"], lines)
 
 
+def orders_markdown(rows: Sequence[Row]) -> str:
+    """How much of a search's length is its order, and how much its paths."""
+    lines = []
+    for kind in dict.fromkeys(row.product.kind for row in rows):
+        own = [row for row in rows if row.product.kind == kind and math.isfinite(sum(row.orders.values()))]
+        for key in own[0].orders if own else ():
+            found = float(np.mean([_found(row, key) for row in own]))
+            orders = np.array([row.orders[key] for row in own])
+            best = np.array([min(row.orders.values()) for row in own])
+            name = f"guided, guide of {TITLES[key]}" if key in TITLES else key
+            more = mean_interval((100 * (orders / best - 1)).tolist())
+            lines.append(
+                [
+                    f"{TITLES[kind]}, {name}",
+                    str(len(own)),
+                    metres(found),
+                    metres(float(orders.mean())),
+                    f"{1 - orders.mean() / found:.1%}" if math.isfinite(found) else "-",
+                    f"{more.mean:.1f} ± {more.high - more.mean:.1f} %",
+                ]
+            )
+    header = ["whose order", "assemblies", "as found, m", "planned again, m", "paths shorter by"]
+    return markdown_table([*header, "longer than the shortest of these orders"], lines)
+
+
+def _found(row: Row, key: str) -> float:
+    if key == "exact":
+        return row.reference.length
+    if key == "random":
+        return math.nan
+    return (row.vanilla if key == "vanilla" else row.guided[key]).shortest.length
+
+
 def training_markdown(results: Mapping[str, Kept]) -> str:
     """How well the guides rank the parts of assemblies that they were not trained on."""
     rows = []

@@ -1,4 +1,4 @@
-"""The work behind Fig. 5 and Tables I and II (Sec. VII): replanning, searching, training."""
+"""The work behind Fig. 5 and Tables I and II (Sec. VII): replanning, searching, training, judging orders."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from takeapart.experiments.jobs import Outcome
 from takeapart.planning import PlanningOptions, build_problem, search
 from takeapart.problem import AssemblyProblem, Guide
 from takeapart.removal.paths import RemovalOptions
-from takeapart.removal.result import Removal
+from takeapart.removal.result import Effort, Removal
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.mcts import MctsOptions, mcts
-from takeapart.search.result import Budget, Progress
+from takeapart.search.result import Budget, Progress, SearchResult
 from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.workcell import Workcell
 
 GUIDE_FILE = "guide.safetensors"
+ORDER_FILE = "order.txt"  # names of the parts of a search's shortest sequence, a line each
 KEPT_OF_TRAINING = (".safetensors", ".csv", ".json", ".md")  # not its checkpoints
 TRIED_SEEDS = 50  # random orders, until one is feasible
 
@@ -205,6 +206,7 @@ class SearchTask:
                 observe,
             )
             seconds = time.process_time() - started
+        _write_order(out, self.assembly, result)
         return {
             "parts": self.assembly.root.bit_count(),
             "statistics": result.statistics,
@@ -300,6 +302,7 @@ class ReferenceTask:
         """Length and bounds, m; what was spent. A length of None: no order was found."""
         problem = build_problem(self.assembly, self.workcell, PlanningOptions(seed=self.seed))
         result = exact(problem, ExactOptions(), Budget(queries=self.queries))
+        _write_order(out, self.assembly, result)
         straight = math.fsum(problem.planner.straight_line_bound(removal.part) for removal in result.removals)
         return {
             "length": result.length if math.isfinite(result.length) else None,
@@ -308,6 +311,60 @@ class ReferenceTask:
             "removal_queries": problem.counts.removal_queries,
             "motion_plans": problem.counts.motion_plans,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class OrdersTask:
+    """The orders that searches found, judged without the luck of single paths.
+
+    Every removal of an order is planned again with all of the planner's effort; all orders share one removal library,
+    so what they have in common costs the same in each.
+
+    Args:
+        attempts: how often each removal is planned.
+    """
+
+    assembly: Assembly
+    workcell: Workcell
+    seed: int
+    attempts: int
+
+    @property
+    def cost(self) -> float:
+        """Removals planned, in a few orders."""
+        return 3.0 * self.assembly.root.bit_count() * self.attempts
+
+    def identity(self) -> Outcome:
+        """Options and data; the orders are in the keys of the jobs that found them."""
+        return {**_data(self.assembly, self.workcell), "seed": self.seed, "attempts": self.attempts}
+
+    def run(self, needed: Mapping[str, Path], out: Path) -> Outcome:
+        """Length of every order, m, by the name of the job that found it; None where there is none. "random" is one
+        that the arm can follow, whatever its length.
+        """
+        problem = build_problem(self.assembly, self.workcell, PlanningOptions(seed=self.seed))
+        numbers = {part.name: number for number, part in enumerate(self.assembly.parts)}
+        orders = {"random": [part for _, part in feasible_order(problem, self.seed)]}
+        for name, folder in needed.items():
+            orders[name] = [numbers[line] for line in (folder / ORDER_FILE).read_text(encoding="utf-8").splitlines()]
+        lengths = {}
+        for turn in (0, 1):  # the second time with all that the first has found
+            for name, order in orders.items():
+                lengths[name] = self._length(problem, order, 1 if turn else self.attempts)
+        return {"lengths": {name: length if math.isfinite(length) else None for name, length in lengths.items()}}
+
+    def _length(self, problem: AssemblyProblem, order: Sequence[int], attempts: int) -> float:
+        total, state = 0.0, problem.root
+        for part in order:
+            found = problem.remove(state, part, Effort(attempts))
+            total += found.length if isinstance(found, Removal) else math.inf
+            state &= ~(1 << part)
+        return total if order else math.inf
+
+
+def _write_order(out: Path, assembly: Assembly, result: SearchResult) -> None:
+    lines = [f"{assembly.parts[removal.part].name}\n" for removal in result.removals]
+    (out / ORDER_FILE).write_text("".join(lines), encoding="utf-8")
 
 
 def _data(assembly: Assembly, workcell: Workcell) -> Outcome:
