@@ -12,6 +12,7 @@ import pytest
 
 from small_assemblies import deadlock, floating, three_bars, two_bars
 from takeapart.errors import InputError, UnknownNameError
+from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.plan import Plan
 from takeapart.planning import (
     SEARCHES,
@@ -190,3 +191,13 @@ def test_misuse_is_told() -> None:
         PlanningOptions(search="best")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="part 'stub' floats"):
         plan(floating(), scene_workcell())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [f"single/{k:02d}" for k in range(1, 15)] + [f"double/{k:02d}" for k in range(1, 8)])
+def test_every_shipped_assembly_can_be_taken_apart(name: str) -> None:
+    """A planner that loses a few ways to hold a part has lost whole assemblies: the greedy search notices at once."""
+    assembly = load_assembly(data_path(f"{name}.json"))
+    problem = build_problem(assembly, load_workcell("panda"))
+    found = search(problem, PlanningOptions(search="greedy"))
+    assert len(found.removals) == assembly.root.bit_count(), found.refusals

@@ -285,10 +285,15 @@ def test_inverse_kinematics_gives_what_the_library_gives_for_these_limits(robot:
     for q in random_configurations(robot, 60, np.random.default_rng(11)):
         target = robot.tool_pose(q)
         expected = franka_panda_ik.solve(T_base_world @ target @ T_tool_flange, allow_rescue=False)
-        found = ik.solve(target)
-        assert len(found) == len(expected)
-        for solution in expected:
-            assert np.abs(found - solution.q).max(axis=1).min() < 1e-9
+        turned = target.copy()
+        turned[:3, :2] *= -1
+        both = franka_panda_ik.solve(T_base_world @ turned @ T_tool_flange, allow_rescue=False)
+        for solutions, found in zip(
+            (expected, expected, both), (ik.solve(target), *ik.solve_both(target)), strict=True
+        ):
+            assert len(found) == len(solutions)
+            for solution in solutions:
+                assert np.abs(found - solution.q).max(axis=1).min() < 1e-9
 
 
 def test_inverse_kinematics_finds_nothing_out_of_reach(robot: RobotModel) -> None:

@@ -62,13 +62,8 @@ def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> boo
     A = np.empty((6, 6))
     for k in range(1, count + 1):
         q = rows[k]
-        for j in range(n):  # where the rows before lead to: a parabola leaves one step to Newton's method, mostly
-            if k == 1:
-                q[j] = rows[0, j]
-            elif k == 2:
-                q[j] = 2.0 * rows[1, j] - rows[0, j]
-            else:
-                q[j] = 3.0 * (rows[k - 1, j] - rows[k - 2, j]) + rows[k - 3, j]
+        for j in range(n):  # where the two rows before lead to
+            q[j] = rows[k - 1, j] if k == 1 else 2.0 * rows[k - 1, j] - rows[k - 2, j]
         converged = False
         for _ in range(8):
             forward(arm, q, work)
