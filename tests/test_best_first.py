@@ -25,7 +25,7 @@ from takeapart.search.baselines import BeamOptions, beam
 from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.orders import smallest_states
-from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
+from takeapart.search.result import Budget, Clock, Progress, ProgressListener, SearchResult
 
 
 def run(
@@ -244,3 +244,23 @@ def test_smallest_states_hold_all_that_must_wait() -> None:
 def test_bad_options(options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"best_first\." + next(iter(options))):
         BestFirstOptions(**options)
+
+
+def test_seconds_end_a_sweep_that_asks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = 0
+    for seed in range(20):
+        problem = MaskedProblem(random_problem(8, seed, density=0.6))
+        problem.edge_bounds = EdgeBounds([problem.static_lower(part) for part in range(8)])  # type: ignore[attr-defined]
+        assert run(problem, beams=()).length == pytest.approx(
+            problem.optimum()[0]
+        )  # now every edge on the way is known
+        whole = run(problem, beams=())
+        with monkeypatch.context() as patch:
+            patch.setattr(Clock, "late", lambda clock: True)
+            cut = run(problem, beams=())
+        assert cut.sequence_bound is not None and cut.sequence_bound <= problem.optimum()[0] + 1e-9
+        assert "weight" not in cut.statistics
+        ended += "weight" in whole.statistics
+        check_sequence(problem, whole)
+        assert cut.length >= whole.length - 1e-9
+    assert ended > 10

@@ -79,7 +79,7 @@ class Inquiry:
     def _query(self, edge: Edge, effort: Effort) -> Removal | Blocked | None:
         # Not clock.spent(): while threads are asking, the count of queries depends on their timing.
         clock = self._log.clock
-        if self._cancelled or clock.stop or clock.seconds >= clock.budget.seconds:
+        if self._cancelled or clock.late():
             return None
         return self._log.problem.remove(*edge, effort)
 

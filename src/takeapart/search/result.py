@@ -56,6 +56,10 @@ class Clock:
             or self.seconds >= self.budget.seconds
         )
 
+    def late(self) -> bool:
+        """Whether the seconds are over or the search was stopped: what ends work that asks nothing."""
+        return self.stop or self.seconds >= self.budget.seconds
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -7,7 +7,10 @@ from heapq import heappop, heappush
 from typing import NamedTuple
 
 from takeapart.search.lattice_bounds import TOLERANCE
+from takeapart.search.mcts import BudgetSpentError
 from takeapart.search.orders import Orders
+
+TURNS_BETWEEN_LOOKS = 256  # at the clock: where every edge is known, a sweep asks nothing that would end it
 
 
 class _Waiting(NamedTuple):
@@ -54,10 +57,17 @@ class Sweep:
         return min([*ranks, self.orders.log.best[0]])
 
     def run(self, memory_limit: int, expansions: int | None) -> bool:
-        """Until the goal comes first or nothing waits; False if a limit came first."""
+        """Until the goal comes first or nothing waits; False if a limit came first.
+
+        Raises:
+            BudgetSpentError: the seconds are over; what waits is still there for `least`.
+        """
         log = self.orders.log
-        expanded = 0
+        expanded = turns = 0
         while self.waiting:
+            if self.lazy and turns % TURNS_BETWEEN_LOOKS == 0 and log.clock.late():
+                raise BudgetSpentError
+            turns += 1
             self.in_hand = [heappop(self.waiting)]
             entry = self.in_hand[0]
             if entry.rank >= log.best[0] - TOLERANCE:
