@@ -105,26 +105,32 @@ def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> boo
 
 
 @compiled
-def lift_ends(
-    lifting: Scene, carrying: Scene, starts: Floats, height: float, rows: Floats, hits: Flags, good: Flags
-) -> None:
+def lift_ends(scene: Scene, starts: Floats, height: float, rows: Floats, hits: Flags, good: Flags) -> None:
     """Lifts from every start configuration (S, n): rows (S, L, n), what the ends of each would hit (S, parts + 1), and
     which are possible as far as that tells.
 
     Args:
-        lifting: scene in which the load itself is not checked against the world.
-        carrying: scene in which it is; for the end of the lift.
+        scene: its load has flags of its own for what meets the world; they are overwritten.
         height: m.
     """
     last = hits.shape[1] - 1
     for s in range(len(starts)):
         good[s] = 0
+        _let_part_meet_world(scene, False)
         mark = hits[s]
         mark[:] = 0
-        if not touches(lifting, starts[s], mark) or mark[last] or not lift_rows(lifting, starts[s], height, rows[s]):
+        if not touches(scene, starts[s], mark) or mark[last] or not lift_rows(scene, starts[s], height, rows[s]):
             continue
-        if touches(carrying, rows[s, rows.shape[1] - 1], mark) and not mark[last]:
+        _let_part_meet_world(scene, True)
+        if touches(scene, rows[s, rows.shape[1] - 1], mark) and not mark[last]:
             good[s] = 1
+
+
+@compiled_lean
+def _let_part_meet_world(scene: Scene, meets: bool) -> None:
+    """Whether the part is checked against the world: it touches its neighbours until it is lifted."""
+    for h in range(scene.held.group[1], scene.held.group[2]):
+        scene.held.meets_world[h] = meets
 
 
 @compiled_lean
@@ -134,7 +140,12 @@ def touches(scene: Scene, q: Floats, hits: Flags) -> bool:
 
 
 @compiled
-def complete_lifts(lifting: Scene, rows: Floats, hits: Flags, good: Flags) -> None:
-    """Adds what lifts with rows (S, L, n) would hit between their ends (S, parts + 1), and says which are possible."""
+def complete_lifts(scene: Scene, rows: Floats, hits: Flags, good: Flags) -> None:
+    """Adds what lifts with rows (S, L, n) would hit between their ends (S, parts + 1), and says which are possible.
+
+    Args:
+        scene: as of `lift_ends`.
+    """
+    _let_part_meet_world(scene, False)
     for s in range(len(rows)):
-        good[s] = path_blockers(lifting, rows[s], hits[s])
+        good[s] = path_blockers(scene, rows[s], hits[s])

@@ -272,23 +272,23 @@ class Reach:
             )
         )
 
-    def _scenes(self, part: int, number: int, work: Workspace) -> tuple[Scene, Scene]:
-        """The situation while the part leaves its place, where it touches its neighbours, and once it is lifted."""
+    def _scene(self, part: int, number: int, work: Workspace) -> Scene:
+        """The situation while the part is lifted; its load has flags of its own for what meets the world."""
         held = self.hands(part, work)[number].held
         everything = flags_of(self._assembly.root & ~(1 << part), len(self._assembly.parts))
-        carrying = new_scene(self._robot.arm, held, self._world, everything, self._padding, self._step, work)
-        return carrying._replace(held=held._replace(meets_world=_fingers_only(held))), carrying
+        held = held._replace(meets_world=held.meets_world.copy())
+        return new_scene(self._robot.arm, held, self._world, everything, self._padding, self._step, work)
 
     def _solve_lifts(self, part: int, number: int, solutions: Array, work: Workspace) -> _Lifts:
         count, parts = len(solutions), len(self._assembly.parts)
         if not count:
             return _Lifts(np.empty((0, 0, 0)), np.empty((0, 0), dtype=np.uint8), [], {})
-        lifting, carrying = self._scenes(part, number, work)
+        scene = self._scene(part, number, work)
         for spacing in LIFT_SPACINGS:  # near a singularity the joints turn fast: only close rows keep the lift straight
             rows = np.empty((count, round(np.ceil(self._lift / spacing)) + 1, self._robot.joints))
             hits = np.zeros((count, parts + 1), dtype=np.uint8)
             good = np.zeros(count, dtype=np.uint8)
-            lift_ends(lifting, carrying, solutions, self._lift, rows, hits, good)
+            lift_ends(scene, solutions, self._lift, rows, hits, good)
             if good.any():
                 break
         chosen = np.nonzero(good)[0]
@@ -296,16 +296,9 @@ class Reach:
 
     def _complete(self, part: int, number: int, lifts: _Lifts, chosen: list[int], work: Workspace) -> None:
         """Looks at what is between the ends of some lifts."""
-        lifting, _ = self._scenes(part, number, work)
+        scene = self._scene(part, number, work)
         rows, hits = np.ascontiguousarray(lifts.rows[chosen]), lifts.hits[chosen]
         good = np.zeros(len(chosen), dtype=np.uint8)
-        complete_lifts(lifting, rows, hits, good)
+        complete_lifts(scene, rows, hits, good)
         for s, lifted, state, fine in zip(chosen, rows, states_of(hits), good, strict=True):
             lifts.branches[s] = LiftBranch(lifted, state) if fine else None
-
-
-def _fingers_only(held: HeldArrays) -> Flags:
-    """Flags for a load whose part is not checked against the world: it touches its neighbours while it is lifted."""
-    flags = np.ones(len(held.half), dtype=np.uint8)
-    flags[held.group[1] :] = 0
-    return flags
