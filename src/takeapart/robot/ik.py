@@ -51,9 +51,7 @@ class InverseKinematics:
 
     def solve(self, T_world_tool: Array) -> Array:
         """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""
-        sampled = self._sampled(T_world_tool)
-        inside = self._inside(sampled)
-        return inside if len(inside) else self._within_limits(sampled, T_world_tool)
+        return self._inside(self._sampled(T_world_tool), T_world_tool)
 
     def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
         """As `solve`, for a pose and for the same pose turned by half a turn about the tool's approach direction."""
@@ -65,17 +63,19 @@ class InverseKinematics:
         other = found.copy()
         other[:, -1] += np.where(other[:, -1] > 0, -np.pi, np.pi)
         # For the turned pose the library takes other samples, and near the limits there are better ones among them.
-        inside = self._inside(found)
-        return inside if len(inside) else self._within_limits(found, T_world_tool), self._within_limits(other, turned)
+        return self._inside(found, T_world_tool), self._within_limits(other, turned)
 
     def _sampled(self, T_world_tool: Array) -> Array:
         """Solutions (S, n), rad, inside the limits or not."""
         found = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False, respect_limits="wrap")
         return np.array([solution.q for solution in found]).reshape(-1, len(self._lower))
 
-    def _inside(self, sampled: Array) -> Array:
-        """The samples inside the limits: where there are any, they are what the library gives for these limits."""
-        return sampled[((sampled >= self._lower) & (sampled <= self._upper)).all(axis=1)]
+    def _inside(self, sampled: Array, T_world_tool: Array) -> Array:
+        """Solutions inside the limits from the library's own samples for the pose: those of them that are inside, which
+        are all that it gives for these limits, or what it finds near the limits where none is.
+        """
+        inside = sampled[((sampled >= self._lower) & (sampled <= self._upper)).all(axis=1)]
+        return inside if len(inside) else self._within_limits(sampled, T_world_tool)
 
     def _within_limits(self, sampled: Array, T_world_tool: Array) -> Array:
         """The library's own choice of solutions inside the limits; it is asked only where the samples say that there

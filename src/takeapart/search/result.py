@@ -49,12 +49,7 @@ class Clock:
         return self.counts.removal_queries - self.first_query
 
     def spent(self) -> bool:
-        return (
-            self.stop
-            or self.episodes >= self.budget.episodes
-            or self.queries >= self.budget.queries
-            or self.seconds >= self.budget.seconds
-        )
+        return self.late() or self.episodes >= self.budget.episodes or self.queries >= self.budget.queries
 
     def late(self) -> bool:
         """Whether the seconds are over or the search was stopped: what ends work that asks nothing."""
