@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from order_search_cases import ForgetfulProblem
 from synthetic import (
     Hidden,
     InterruptedProblem,
@@ -28,6 +29,7 @@ from takeapart.search.baselines import (
     random_order,
     random_restarts,
 )
+from takeapart.search.mcts import SECOND_LOOK, MctsOptions, mcts
 from takeapart.search.result import Budget, Progress, SearchResult
 
 Search = Callable[[SyntheticProblem, Budget, int], SearchResult]
@@ -47,6 +49,10 @@ def run_restarts(problem: SyntheticProblem, budget: Budget, seed: int) -> Search
 
 def run_beam(problem: SyntheticProblem, budget: Budget, seed: int) -> SearchResult:
     return beam(problem, BeamOptions(width=2), budget, np.random.default_rng(seed))
+
+
+def run_mcts(problem: SyntheticProblem, budget: Budget, seed: int) -> SearchResult:
+    return mcts(problem, MctsOptions(attempts=1, patience=5), budget, np.random.default_rng(seed))
 
 
 ALL = pytest.mark.parametrize("search", [run_random, run_greedy, run_restarts, run_beam])
@@ -126,7 +132,8 @@ def test_no_state_is_entered_twice(search: Search, monkeypatch: pytest.MonkeyPat
     remove = problem.remove
 
     def spy(state: int, part: int, effort: Effort) -> Removal | Blocked:
-        entered.append(state)
+        if effort is not SECOND_LOOK:  # of dead ends; the problem answers it for nothing
+            entered.append(state)
         return remove(state, part, effort)
 
     monkeypatch.setattr(problem, "remove", spy)
@@ -297,3 +304,13 @@ def test_options_are_checked() -> None:
         OrderOptions(attempts=0)
     with pytest.raises(InputError, match=r"restarts\.patience"):
         RestartOptions(patience=0)
+
+
+@pytest.mark.parametrize("search", [run_random, run_greedy, run_restarts, run_beam, run_mcts])
+def test_a_dead_end_is_looked_at_twice_before_it_is_believed(search: Search) -> None:
+    truth = random_problem(6, 2)
+    blind = truth.root & ~1  # the planner misses every other part at first
+    seeing = ForgetfulProblem(truth, blind=blind, sight=SECOND_LOOK.attempts)
+    assert_executable(seeing, search(seeing, Budget(queries=2000), 0))
+    unseeing = ForgetfulProblem(truth, blind=blind, sight=SECOND_LOOK.attempts + 1)
+    assert not search(unseeing, Budget(queries=2000), 0).removals

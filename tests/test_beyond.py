@@ -9,15 +9,8 @@ import pytest
 
 from small_assemblies import WORKCELL, three_bars, two_bars
 from takeapart.errors import InputError, UnknownNameError
-from takeapart.experiments.beyond_exact import (
-    BeyondRun,
-    BeyondSettings,
-    beyond_jobs,
-    compare_beyond,
-    draw,
-    lengths_markdown,
-    runs_csv,
-)
+from takeapart.experiments.beyond_exact import BeyondSettings, beyond_jobs, compare_beyond
+from takeapart.experiments.beyond_report import BeyondRun, draw, lengths_markdown, means_markdown, runs_csv
 from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
 from takeapart.experiments.workers import LocalWorkers
 from takeapart.files import load_workcell, save_assembly
@@ -41,10 +34,16 @@ def test_lengths_are_those_known_after_so_many_queries() -> None:
 
 
 def test_the_table_compares_at_equal_queries() -> None:
-    lines = lengths_markdown(RUNS, 100).splitlines()
-    assert lines[0].split(" | ")[1:5] == [f"length at {n} queries, m" for n in (10, 25, 50, 100)]
-    assert lines[2] == "| greedy, no guide | - | - | 30.00 (1 of 2) | 30.00 | 100 | 900 |  |"
-    assert lines[3].startswith("| greedy, guide | 27.50 | 27.50 | 27.50 | 27.00 | 100 | 900 | 10.0% [10.0%, 10.0%] |")
+    lines = means_markdown(RUNS, 100).splitlines()
+    assert lines[0].split(" | ")[1:5] == [f"at {n} queries" for n in (10, 25, 50, 100)]
+    assert lines[2] == "| greedy, no guide | - | - | 11.1% (1 of 2) | 11.1% | 100 | 900 |  |"
+    assert lines[3].startswith("| greedy, guide | 1.9% | 1.9% | 1.9% | 0.0% | 100 | 900 | 10.0% [10.0%, 10.0%] |")
+
+
+def test_the_table_of_every_assembly_has_the_best_in_bold() -> None:
+    lines = lengths_markdown([*RUNS[:2], run_of("c", "greedy", False), run_of("c", "greedy", True)]).splitlines()
+    assert lines[2] == "| a | 40 | 30.00 | **27.00** |"
+    assert lines[3] == "| c | 40 | - | - |"
 
 
 def test_the_table_as_csv() -> None:
@@ -53,9 +52,13 @@ def test_the_table_as_csv() -> None:
     assert second == "a,40,greedy,guide,27.0,27.0,27.0,27.0,,100,900"
 
 
-def test_the_plot_has_a_line_for_every_search_and_guide() -> None:
-    labels = [line.get_label() for line in draw(RUNS, 100).axes[0].lines]
-    assert labels == ["greedy, no guide", "greedy, guide"]
+def test_the_plot_has_a_panel_for_every_assembly_and_a_line_for_every_search_and_guide() -> None:
+    panels = draw([*RUNS, run_of("c", "greedy", False)], 100).axes
+    assert [axes.get_title() for axes in panels] == ["a, 40 parts", "b, 40 parts", "c, 40 parts"]
+    assert [line.get_label() for line in panels[1].lines] == ["greedy, no guide", "greedy, guide"]
+    found = [line.get_ydata() for line in panels[1].lines]
+    assert [lengths[-1] for lengths in found] == [30.0, 27.0] and math.isnan(found[0][0])
+    assert all(math.isnan(length) for length in panels[2].lines[0].get_ydata())
 
 
 def test_settings_are_checked(tmp_path: Path) -> None:

@@ -529,3 +529,20 @@ def test_witness_orders_of_the_shipped_assemblies_can_be_planned(
         assert any(isinstance(answer, Removal) for answer in answers), part
         state &= ~(1 << number)
     assert state == 0
+
+
+@pytest.mark.parametrize(("limit", "larger"), [(math.inf, True), (1.0, False)])
+def test_trees_grow_larger_where_four_attempts_found_nothing(
+    planner: RemovalPlanner, monkeypatch: pytest.MonkeyPatch, limit: float, larger: bool
+) -> None:
+    grown = []
+
+    def attempt(part: int, others: int, rng: object, limit: float, options: RemovalOptions) -> Blocked:
+        grown.append(options.tree_iterations)
+        return Blocked(part, "path", others)
+
+    monkeypatch.setattr(planner, "_attempt", attempt)
+    part = next(part for part in members(planner.assembly.root) if planner.lift_blockers[part] is not None)
+    planner.plan(part, 1 << part, rng=np.random.default_rng(0), shorter_than=limit, attempts=6)
+    usual = planner.options.tree_iterations
+    assert grown == [usual] * 4 + [5 * usual if larger else usual] * 2

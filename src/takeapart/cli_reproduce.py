@@ -91,7 +91,14 @@ def paper(
 
 @reproduce.command(short_help="Searches with and without a guide where exact search cannot close.")
 @click.argument("assemblies", type=FILE, nargs=-1, required=True)
-@click.option("--guide", type=FILE, required=True, metavar="FILE", help="Weights, as takeapart train writes them.")
+@click.option(
+    "--guide",
+    type=FILE,
+    default=Path("default"),
+    show_default=True,
+    metavar="FILE|default",
+    help="Weights, as takeapart train writes them, or the guide that comes with the package.",
+)
 @click.option("--queries", type=click.IntRange(1), default=1000, show_default=True, help="Removal queries per search.")
 @click.option(
     "--out", type=FILE, default=Path("out/beyond"), show_default=True, help="Folder of all results; made if needed."

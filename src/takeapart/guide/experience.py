@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import secrets
 import threading
 import time
@@ -36,6 +37,9 @@ ASSEMBLY_ENDING = ".assembly.json"
 ORDER = ("assembly_hash", "state", "part", "reward", "next_state", "seed", "search", "bound", "least")
 OWN_COLUMNS = ("state", "part", "reward", "next_state", "next_actions", "bound", "least")  # others hold for all rows
 TOLERANCE = 1e-6  # m; a cost to the goal that is known this well is known
+
+Values = Mapping[int, Mapping[int, float]]
+"""State -> part -> optimal Q-value, m, where known."""
 
 
 class ExperienceWriter:
@@ -229,6 +233,22 @@ def read_experience(path: Path | Sequence[Path]) -> Experience:
     table = pl.concat(tables).sort(ORDER, nulls_last=True, maintain_order=True)
     used = set(table["assembly_hash"].unique().to_list())
     return Experience(table, {key: assemblies[key] for key in sorted(used)})
+
+
+def together(experiences: Sequence[Experience]) -> Experience:
+    """All rows of several."""
+    table = pl.concat([each.table for each in experiences]).sort(ORDER, nulls_last=True, maintain_order=True)
+    return Experience(table, {key: value for each in experiences for key, value in each.assemblies.items()})
+
+
+def known_values(experience: Experience) -> Values:
+    """Q-values that exact search knows, m, in states with a choice; of one assembly."""
+    values: dict[int, dict[int, float]] = {}
+    rows = experience.table.filter(pl.col("bound").is_not_null()).select("state", "part", "bound")
+    for state, part, cost in rows.iter_rows():
+        parts = values.setdefault(int(state, 16), {})
+        parts[part] = max(-cost, parts.get(part, -math.inf))
+    return {state: parts for state, parts in values.items() if len(parts) > 1}
 
 
 def data_card(path: Path | Sequence[Path]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +35,9 @@ PLANNING_MARGIN = 1e-4  # m, kept while planning over what the final check asks 
 
 DEFAULTS = RemovalOptions()
 
+USUAL_ATTEMPTS = 4  # that find nothing, before trees are allowed to grow larger
+LARGER_TREES = 5  # times as many random samples: a way that small trees miss again and again is narrow
+
 __all__ = ["RemovalOptions", "RemovalPlanner", "tool_length"]
 
 
@@ -60,6 +64,7 @@ class RemovalPlanner:
         robot: RobotModel | None = None,
     ) -> None:
         self.assembly, self.workcell, self.options = assembly, workcell, options
+        self._patient = replace(options, tree_iterations=LARGER_TREES * options.tree_iterations)
         self.robot = robot or load_robot(workcell)
         self.counts = Counts()
         self._parts = len(assembly.parts)
@@ -103,7 +108,8 @@ class RemovalPlanner:
             state: parts that are there.
             rng: for the random choices of this query.
             shorter_than: only something shorter is of interest, m.
-            attempts: how often it is planned; the shortest is returned.
+            attempts: how often it is planned; the shortest is returned. Where four found nothing, and nothing shorter
+                is asked for, further ones grow trees five times as large.
 
         Returns:
             The removal, or why there is none: stage and blamed parts. With a finite `shorter_than` a refusal at stage
@@ -115,8 +121,9 @@ class RemovalPlanner:
             return Blocked(part, "lift", (lift or 0) & others)
         best: Removal | Blocked | None = None
         limit = shorter_than
-        for _ in range(attempts):
-            found = self._attempt(part, others, rng, limit)
+        for turn in range(attempts):
+            patient = turn >= USUAL_ATTEMPTS and math.isinf(limit)
+            found = self._attempt(part, others, rng, limit, self._patient if patient else self.options)
             if isinstance(found, Removal) and found.length >= limit:
                 found = Blocked(part, "path", others)  # shortening did not get it below
             if isinstance(found, Removal):
@@ -128,10 +135,12 @@ class RemovalPlanner:
         assert best is not None  # attempts >= 1
         return best
 
-    def _attempt(self, part: int, others: int, rng: np.random.Generator, limit: float) -> Removal | Blocked:
+    def _attempt(
+        self, part: int, others: int, rng: np.random.Generator, limit: float, options: RemovalOptions
+    ) -> Removal | Blocked:
         work = self._workspace()
         search = PathSearch(
-            self.options,
+            options,
             self.robot,
             self.reach,
             self.goals,

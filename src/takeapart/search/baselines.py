@@ -198,7 +198,12 @@ def _random_successors(
             else:
                 refusals.append(answer)
         if len(refusals) == len(candidates):
-            log.dead_end(state, refusals)
+            stuck = True
+            for removal in log.second_look(state, refusals):
+                stuck = False
+                yield removal
+            if stuck:
+                log.dead_end(state, refusals)
 
     return successors
 
@@ -280,13 +285,16 @@ class _Layers:
                     answer = self.log.ask(state, part, effort)
                     if isinstance(answer, Removal):
                         self.edges[state].append(answer)
-                        rest = state & ~(1 << part)
-                        following[rest] = min(following.get(rest, math.inf), cost[state] + answer.length)
                     else:
                         refusals.append(answer)
-                self.expanded.add(state)
+                if not self.edges[state]:
+                    self.edges[state] += self.log.second_look(state, refusals)
                 if not self.edges[state]:
                     self.log.dead_end(state, refusals)
+                self.expanded.add(state)
+                for removal in self.edges[state]:
+                    rest = state & ~(1 << removal.part)
+                    following[rest] = min(following.get(rest, math.inf), cost[state] + removal.length)
             cost = following
         return pruned
 

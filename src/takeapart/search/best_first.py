@@ -25,7 +25,7 @@ from takeapart.problem import Guide, Problem
 from takeapart.search.inquiry import Edge, Inquiry, bounds_of
 from takeapart.search.lattice_bounds import TOLERANCE
 from takeapart.search.lazy_beam import lazy_beam
-from takeapart.search.mcts import MAXIMUM_REFUSALS, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.mcts import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentError, Logbook, TransitionObserver
 from takeapart.search.orders import DeadEndError, Orders
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 from takeapart.search.sweep import Sweep
@@ -52,7 +52,7 @@ class BestFirstOptions:
     attempts: int = 1
     batch: int = 2
     workers: int = 1
-    second_look: int = 4
+    second_look: int = SECOND_LOOK.attempts
     memory_limit: int = 4_000_000
     bound_states: int = 5_000
 

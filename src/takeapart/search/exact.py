@@ -30,7 +30,7 @@ from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.inquiry import Edge, Inquiry, bounds_of, refusals_in
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
-from takeapart.search.mcts import MAXIMUM_REFUSALS, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.mcts import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentError, Logbook, TransitionObserver
 from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 
@@ -65,7 +65,7 @@ class ExactOptions:
     gap: float = 0.0
     batch: int = 0
     workers: int = 1
-    second_look: int = 4
+    second_look: int = SECOND_LOOK.attempts
     refinement: RefinementOptions = field(default_factory=RefinementOptions)
     state_limit: int = 2_000_000
     best_first: BestFirstOptions = field(default_factory=BestFirstOptions)

@@ -10,7 +10,7 @@ sibling; and what is explored to the end (complete, dead, or all children so) is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -22,6 +22,9 @@ from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.result import Budget, Clock, Progress, ProgressListener, SearchResult
 
 MAXIMUM_REFUSALS = 10  # dead ends in a result; enough to explain a failure, few enough to read
+
+SECOND_LOOK = Effort(attempts=8)
+"""At parts that found no path in a dead end, before it is believed: the last attempts grow larger trees."""
 
 TransitionObserver = Callable[[int, int, float, int, Sequence[int]], None]
 """Called with (state, part, reward in m, next state, its candidates) for every removal that a query returned."""
@@ -74,6 +77,14 @@ class Logbook:
             self.statistics |= {"shortest_length": length, **found_at}
             self.report()
         return length
+
+    def second_look(self, state: int, refusals: Iterable[Blocked]) -> Iterator[Removal]:
+        """What may leave a dead end after all: before it is believed, parts without a path are planned anew, harder."""
+        for refusal in refusals:
+            if refusal.stage == "path":
+                answer = self.ask(state, refusal.part, SECOND_LOOK)
+                if isinstance(answer, Removal):
+                    yield answer
 
     def dead_end(self, state: int, refusals: Iterable[Blocked]) -> None:
         """Take note of a state with parts left and none removable."""
@@ -271,8 +282,12 @@ class TreeSearch:
                     break
                 refusals.append(answer)
             else:
-                self.log.dead_end(state, refusals)
-                return None
+                again = None if self.simulation.fresh else next(self.log.second_look(state, refusals), None)
+                if again is None:
+                    self.log.dead_end(state, refusals)
+                    return None
+                removals.append(again)
+                state &= ~(1 << again.part)
         return removals
 
     def preferences(self, state: int, guide: StateGuide | None) -> list[int]:
