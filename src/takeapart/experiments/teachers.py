@@ -19,6 +19,7 @@ import numpy as np
 
 from takeapart.assembly import Assembly
 from takeapart.experiments.paired_statistics import mean_interval
+from takeapart.experiments.paper_settings import SETS
 from takeapart.experiments.speed import new_problem
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.files import data_path, load_assembly, load_workcell
@@ -174,13 +175,13 @@ def main() -> None:
     """Prints the table; with --document it replaces the one there."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("vanilla", type=Path, help="folder with a folder of experience per assembly")
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
     parser.add_argument("--folds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--document", type=Path)
     arguments = parser.parse_args()
-    kinds = ("single", "double")
-    names = [f"{kind}/{file.stem}" for kind in kinds for file in sorted(data_path(kind).glob("*.json"))]
+    names = [f"{kind}/{file.stem}" for kind in arguments.sets for file in sorted(data_path(kind).glob("*.json"))]
     workcell = load_workcell("panda")
     robot = load_robot(workcell)
     with TemporaryDirectory() as temporary:
@@ -192,7 +193,7 @@ def main() -> None:
             solved[assembly.name] = found
             print(f"{name}: {found.length:.3f} m, values of {len(found.values)} states", flush=True)
         experience = {
-            "mcts": read_experience(sorted(each for each in arguments.vanilla.iterdir() if each.is_dir())),
+            "mcts": read_experience([arguments.vanilla / name for name in solved]),
             "exact": read_experience([folder / name for name in solved]),
         }
         training = {"steps": arguments.steps, "seed": arguments.seed}
