@@ -46,7 +46,7 @@ bench: $(READY)  ## the figures of docs/benchmarks.md
 verify-all: $(READY)  ## plan and verify every shipped assembly by every search; tables of docs/verification.md
 	$(BIN)/python -m takeapart.experiments.verify_all --document docs/verification.md
 
-paper: $(READY)  ## the paper's experiments in full, two to three hours; docs/results.md and results/paper
+paper: $(READY)  ## the paper's experiments in full, two hours; docs/results.md and results/paper
 	$(BIN)/takeapart reproduce paper --out out/paper --document docs/results.md $(PAPER_OPTIONS)
 	mkdir -p results/paper
 	cp out/paper/*.csv out/paper/*.png results/paper
