@@ -524,6 +524,35 @@ def test_generate_gives_up_and_leaves_what_was_there(folder: Path) -> None:
     assert (folder / "made/01.json").read_text() == "an earlier assembly"
 
 
+@pytest.mark.parametrize("together", [True, False])
+def test_generate_puts_cells_around_the_robot(folder: Path, monkeypatch: pytest.MonkeyPatch, together: bool) -> None:
+    """Cells are made one by one, then an order of all of them is sought: here, of cells that have one each."""
+
+    def order_finder(workcell: object, robot: object, seed: int, started: Any) -> profiles.OrderFinder:
+        def find(assembly: Assembly) -> tuple[str, ...] | str:
+            names = tuple(assembly.names(assembly.root))
+            return names if together or len(names) == 21 else "no feasible order, stage ik"
+
+        return find
+
+    monkeypatch.setattr(cli_generate, "_order_finder", order_finder)
+    arguments = ("--workcell", "panda-cells", "--cells", "2", "--seed", "7", "--out", "made", "--name", "cells")
+    result = run("generate", *arguments)
+    if not together:
+        assert result.exit_code == 2
+        assert "cells-01: no feasible order, stage ik, though each cell has one; try another seed" in result.stderr
+        assert not list((folder / "made").iterdir())
+        return
+    assert result.exit_code == 0, result.stderr
+    assert "42 removable parts" in result.stdout
+    made = load_assembly("made/01.json")
+    assert made.name == "cells-01"
+    assert made.witness == tuple(made.names(made.root))  # the order of all, not that of the cells
+    provenance = json.loads((folder / "made/01.json").read_text())["provenance"]
+    assert [each["seed"] for each in provenance["cells"]] == [7, 1007]
+    assert [sum(part.name.startswith(f"{k}-") for part in made.parts) for k in range(2)] == [len(made.parts) // 2] * 2
+
+
 @pytest.mark.slow
 def test_generate_with_the_removal_planner(folder: Path) -> None:
     result = run("generate", "--back", "1", "--front", "1", "--seed", "3", "--out", "made")

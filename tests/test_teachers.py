@@ -82,5 +82,5 @@ def test_the_table() -> None:
     judged = {"exact": [Judgement(0.1, 1.0, 0.02), Judgement(0.3, 2.0, 0.04)]}
     judged[RANDOM] = [Judgement(0.5, math.nan, 0.2), Judgement(0.5, math.nan, 0.2)]
     lines = teachers_markdown(judged).splitlines()
-    assert lines[2] == "| exact | 0.200 ± 1.271 | 1.50 | 3.0 ± 12.7 % |"
-    assert lines[3] == "| random choice | 0.500 ± 0.000 | - | 20.0 ± 0.0 % |"
+    assert lines[2] == "| exact | 200.0 ± 1270.6 | 1.50 | 3.0 ± 12.7 % |"
+    assert lines[3] == "| random choice | 500.0 ± 0.0 | - | 20.0 ± 0.0 % |"

@@ -34,7 +34,7 @@ from takeapart.search.result import Budget
 from takeapart.workcell import Workcell
 
 RANDOM = "random choice"
-ATTEMPTS = 4  # with which removals are planned that the exact search did not need
+ORDER = OrderOptions(attempts=4, monotone=True)  # of the removals that the exact search did not need
 
 
 @dataclass(frozen=True)
@@ -105,16 +105,14 @@ def judge(guide: Guide, solved: Solved, seed: int) -> Judgement:
         choice = max(truth, key=lambda part: found[part])
         regrets.append(max(truth.values()) - truth[choice])
         errors += [abs(found[part] - value) for part, value in truth.items()]
-    options = OrderOptions(ATTEMPTS, monotone=True)
-    order = greedy(solved.problem, options, Budget(), np.random.default_rng(seed), guide=guide)
+    order = greedy(solved.problem, ORDER, Budget(), np.random.default_rng(seed), guide=guide)
     return Judgement(float(np.mean(regrets)), float(np.mean(errors)), order.length / solved.length - 1)
 
 
 def judge_chance(solved: Solved, seed: int) -> Judgement:
     """The same for a random choice."""
     regrets = [max(truth.values()) - float(np.mean(list(truth.values()))) for truth in solved.values.values()]
-    options = OrderOptions(ATTEMPTS, monotone=True)
-    order = random_order(solved.problem, options, Budget(), np.random.default_rng(seed))
+    order = random_order(solved.problem, ORDER, Budget(), np.random.default_rng(seed))
     return Judgement(float(np.mean(regrets)), math.nan, order.length / solved.length - 1)
 
 
@@ -155,19 +153,19 @@ def teachers_markdown(judged: Mapping[str, Sequence[Judgement]]) -> str:
     """Means over the assemblies with their 95 % intervals."""
     rows = []
     for name, found in judged.items():
-        regret = mean_interval([each.regret for each in found])
+        regret = mean_interval([1e3 * each.regret for each in found])
         excess = mean_interval([100 * each.excess for each in found])
         error = float(np.mean([each.error for each in found]))
         rows.append(
             [
                 name,
-                f"{regret.mean:.3f} ± {regret.high - regret.mean:.3f}",
+                f"{regret.mean:.1f} ± {regret.high - regret.mean:.1f}",
                 "-" if math.isnan(error) else f"{error:.2f}",
                 f"{excess.mean:.1f} ± {excess.high - excess.mean:.1f} %",
             ]
         )
     return markdown_table(
-        ["teacher, experience of", "regret, m", "error of Q, m", "own order above the shortest"], rows
+        ["teacher, experience of", "regret, mm", "error of Q, m", "own order above the shortest"], rows
     )
 
 
