@@ -18,7 +18,8 @@ from takeapart.cli_output import (
     require_output,
     seed_option,
 )
-from takeapart.cli_plan import SEARCHES, make_plan, options_of, plan_summary, print_plan, save_or_explain
+from takeapart.cli_plan import SEARCHES, make_plan, options_of
+from takeapart.cli_plan_output import plan_summary, print_plan, save_or_explain
 from takeapart.cli_verify import print_verdict
 from takeapart.errors import MissingExtraError
 

@@ -19,7 +19,7 @@ from takeapart.cli_output import (
     seed_option,
     workcell_option,
 )
-from takeapart.cli_plan import plan_summary, print_plan
+from takeapart.cli_plan_output import plan_summary, print_plan
 from takeapart.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:

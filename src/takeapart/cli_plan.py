@@ -15,20 +15,17 @@ import click
 
 from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
-    EXIT_INFEASIBLE,
-    EXIT_INTERRUPTED,
     FILE,
     json_option,
-    metres,
     note,
     print_json,
-    print_table,
     progress_bar,
     require_output,
     search_listener,
     seed_option,
     workcell_option,
 )
+from takeapart.cli_plan_output import plan_summary, print_plan, save_or_explain
 from takeapart.cli_view import keep_showing, live_view
 from takeapart.errors import MissingExtraError
 
@@ -317,89 +314,3 @@ def _both(first: ProgressListener, second: ProgressListener | None) -> ProgressL
             second(progress)
 
     return listen
-
-
-def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:
-    """Writes a plan, or says why there is none and ends the command."""
-    from takeapart.files import save_plan
-    from takeapart.plan import Plan
-
-    if not isinstance(made, Plan):
-        if as_json:
-            print_json(_infeasible_document(made, interrupted))
-        note("interrupted before any plan was found; nothing was written" if interrupted else str(made))
-        raise click.exceptions.Exit(EXIT_INTERRUPTED if interrupted else EXIT_INFEASIBLE)
-    save_plan(made, out)
-    if interrupted:
-        note(f"interrupted; the best plan so far was written to {out}")
-    return made
-
-
-def _infeasible_document(made: Infeasible, interrupted: bool) -> dict[str, object]:
-    return {
-        "feasible": False,
-        "interrupted": interrupted,
-        "proved": made.proved,
-        "remaining": list(made.remaining),
-        "hindrances": [{"part": h.part, "stage": h.stage, "blamed": list(h.blamed)} for h in made.hindrances],
-    }
-
-
-def gap(length: float, bound: float | None) -> float | None:
-    """(length - bound) / bound; None where there is no bound."""
-    return (length - bound) / bound if bound else None
-
-
-def plan_summary(plan: Plan) -> dict[str, object]:
-    """What a plan says, without its paths."""
-    return {
-        "assembly": plan.assembly,
-        "workcell": plan.workcell,
-        "direction": plan.direction,
-        "order": [{"part": step.part, "length": step.length} for step in plan.steps],
-        "total_length": plan.total_length,
-        "straight_line_bound": plan.straight_line_bound,
-        "proved_gap": gap(plan.total_length, plan.straight_line_bound),
-        "sequence_bound": plan.sequence_bound,
-        "sequence_gap": gap(plan.total_length, plan.sequence_bound),
-        "counts": plan.counts,
-        "seconds": plan.seconds,
-        "seed": plan.seed,
-        "search": plan.search,
-    }
-
-
-def print_plan(plan: Plan, sizes: dict[str, str] | None = None) -> None:
-    """The order of a plan with the gripper path of every part, and the totals.
-
-    Args:
-        plan: what is printed.
-        sizes: of the parts by their names, if the assembly is known.
-    """
-    columns = [">step", "part", *(["size, mm"] if sizes else []), ">gripper path", ">waypoints"]
-    rows = [
-        [
-            str(number),
-            step.part,
-            *([sizes.get(step.part, "?")] if sizes else []),
-            metres(step.length),
-            str(len(step.joint_path)),
-        ]
-        for number, step in enumerate(plan.steps, 1)
-    ]
-    print_table(f"{plan.direction} of {plan.assembly} in workcell {plan.workcell}", columns, rows)
-    click.echo(f"\ntotal gripper path   {metres(plan.total_length)}")
-    click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{_gap_text(plan, plan.straight_line_bound)}")
-    if plan.sequence_bound is not None:
-        click.echo(f"sequence bound       {metres(plan.sequence_bound)}{_gap_text(plan, plan.sequence_bound)}")
-    counts = plan.counts
-    click.echo(
-        f"search               {plan.search.get('name', 'unknown')}, seed {plan.seed}: {plan.seconds:.1f} s, "
-        f"{counts.get('removal_queries', 0)} removal queries, {counts.get('motion_plans', 0)} motion plans"
-    )
-
-
-def _gap_text(plan: Plan, bound: float) -> str:
-    share = gap(plan.total_length, bound)
-    kind = "sequence gap" if bound == plan.sequence_bound else "proved gap"
-    return "" if share is None else f"  ({kind} {share:.1%})"

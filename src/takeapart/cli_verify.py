@@ -9,7 +9,7 @@ import click
 
 from takeapart.cli_inspect import assembly_of
 from takeapart.cli_output import EXIT_UNVERIFIED, FILE, json_option, print_json, progress_bar, require_output
-from takeapart.cli_plan import plan_summary, print_plan
+from takeapart.cli_plan_output import plan_summary, print_plan
 from takeapart.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
