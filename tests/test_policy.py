@@ -90,12 +90,12 @@ def test_the_shipped_guide_knows_what_is_left() -> None:
     assert path.stat().st_size < 2_000_000
     weights = load_weights(path)
     assert weights.training["options"]["teacher"] in {"backup", "exact", "dqn"}
-    # Held out of its training; the lengths, m, are those of the shortest plans of docs/results.md.
-    for name, length in (("single/07", 14.3), ("double/02", 22.0)):
+    # Held out of its training; the lengths, m, are those of the plans of exact search.
+    for name, length in (("single/07", 13.4), ("double/02", 20.0)):
         assembly = load_assembly(data_path(f"{name}.json"))
         values = LearnedGuide(weights, assembly)([assembly.root])[0]
         assert sorted(values) == members(assembly.root)
-        assert all(0.9 * length < -value < 1.1 * length for value in values.values())
+        assert all(0.95 * length < -value < 1.05 * length for value in values.values())
         # A state of half as many parts has about half as much left.
         half = sum(1 << part for part in members(assembly.root)[::2])
         fewer = LearnedGuide(weights, assembly)([half])[0]
