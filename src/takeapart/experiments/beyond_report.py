@@ -132,6 +132,7 @@ def draw(runs: Sequence[BeyondRun], queries: int) -> Any:
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     colours = dict(zip(dict.fromkeys(run.search for run in runs), COLOURS, strict=False))
     asked = np.unique(np.geomspace(10, max(queries, 11), 150).round())
+    marks = sorted({max(round(share * queries), 1) for share in SHARES})
     for axes, name in zip(panels, names, strict=False):
         own = [run for run in runs if run.assembly == name]
         axes.set_title(f"{name}, {own[0].parts} parts", fontsize="medium")
@@ -142,6 +143,8 @@ def draw(runs: Sequence[BeyondRun], queries: int) -> Any:
             label = f"{run.search}, {GUIDED[run.guided]}"
             axes.plot(asked, lengths, linestyle=style, color=colours[run.search], label=label)
         axes.set_xscale("log")
+        axes.set_xticks(marks, [f"{mark:,}" for mark in marks])
+        axes.minorticks_off()
         axes.grid(alpha=0.3)
     for axes in panels[len(names) :]:
         axes.set_visible(False)
