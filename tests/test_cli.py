@@ -524,25 +524,15 @@ def test_generate_gives_up_and_leaves_what_was_there(folder: Path) -> None:
     assert (folder / "made/01.json").read_text() == "an earlier assembly"
 
 
-@pytest.mark.parametrize("together", [True, False])
-def test_generate_puts_cells_around_the_robot(folder: Path, monkeypatch: pytest.MonkeyPatch, together: bool) -> None:
-    """Cells are made one by one, then an order of all of them is sought: here, of cells that have one each."""
+def generate_two_cells(monkeypatch: pytest.MonkeyPatch, find: profiles.OrderFinder) -> Result:
+    """Cells are made one by one, then an order of all of them is sought."""
+    monkeypatch.setattr(cli_generate, "_order_finder", lambda workcell, robot, seed, started: find)
+    cells = ("--workcell", "panda-cells", "--cells", "2")
+    return run("generate", *cells, "--seed", "7", "--out", "made", "--name", "cells")
 
-    def order_finder(workcell: object, robot: object, seed: int, started: Any) -> profiles.OrderFinder:
-        def find(assembly: Assembly) -> tuple[str, ...] | str:
-            names = tuple(assembly.names(assembly.root))
-            return names if together or len(names) == 21 else "no feasible order, stage ik"
 
-        return find
-
-    monkeypatch.setattr(cli_generate, "_order_finder", order_finder)
-    arguments = ("--workcell", "panda-cells", "--cells", "2", "--seed", "7", "--out", "made", "--name", "cells")
-    result = run("generate", *arguments)
-    if not together:
-        assert result.exit_code == 2
-        assert "cells-01: no feasible order, stage ik, though each cell has one; try another seed" in result.stderr
-        assert not list((folder / "made").iterdir())
-        return
+def test_generate_puts_cells_around_the_robot(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = generate_two_cells(monkeypatch, lambda assembly: tuple(assembly.names(assembly.root)))
     assert result.exit_code == 0, result.stderr
     assert "42 removable parts" in result.stdout
     made = load_assembly("made/01.json")
@@ -551,6 +541,17 @@ def test_generate_puts_cells_around_the_robot(folder: Path, monkeypatch: pytest.
     provenance = json.loads((folder / "made/01.json").read_text())["provenance"]
     assert [each["seed"] for each in provenance["cells"]] == [7, 1007]
     assert [sum(part.name.startswith(f"{k}-") for part in made.parts) for k in range(2)] == [len(made.parts) // 2] * 2
+
+
+def test_generate_says_when_only_single_cells_have_an_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def find(assembly: Assembly) -> tuple[str, ...] | str:
+        names = tuple(assembly.names(assembly.root))
+        return names if len(names) == 21 else "no feasible order, stage ik"
+
+    result = generate_two_cells(monkeypatch, find)
+    assert result.exit_code == 2
+    assert "cells-01: no feasible order, stage ik, though each cell has one; try another seed" in result.stderr
+    assert not list((folder / "made").iterdir())
 
 
 @pytest.mark.slow
