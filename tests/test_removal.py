@@ -23,6 +23,7 @@ from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
+from takeapart.removal.situation import Situation
 from takeapart.robot.kernels import FREE, check
 from takeapart.robot.model import RobotModel
 from takeapart.verification_model import Scene as MujocoScene
@@ -500,6 +501,62 @@ def test_goal_configurations_stand_at_the_goal_and_are_free_of_what_never_leaves
     assert np.linalg.eigvalsh(directions.T @ directions / len(directions))[0] > 0.05
 
 
+def test_goals_kept_as_masks_are_those_that_fresh_checks_find(planner: RemovalPlanner) -> None:
+    """In random states: the nearest free goals, and the free ones among the pairs, judged in that state alone."""
+    rng, work = np.random.default_rng(9), planner.robot.workspace(64)
+    grasps, goals = cached_branches(planner), planner.goals.all(work)
+    hindered = 0
+    for state in random_states(planner.assembly, 60, rng):
+        part, number = grasps[int(rng.integers(len(grasps)))]
+        hand, others = planner.reach.hands(part, work)[number], state & ~(1 << part)
+        near = planner.goals.neighbours(planner.reach.branches(part, number, 0, work), work)
+        scene = scene_of(planner.robot, hand.held, planner.world, others, len(planner.assembly.parts), PADDING)
+
+        def is_free(q: Array, scene: Scene = scene) -> bool:
+            return check(scene.arm, scene.held, scene.world, scene.present, PADDING, q, scene.work) == FREE
+
+        distances = ((goals[:, None] - near.lifted) ** 2).sum(axis=2)  # no root: two may be equally far
+        order = np.argsort(distances.min(axis=1), kind="stable")
+        free = np.array([q for q in goals[order[:200]] if is_free(q)])
+        assert len(free) > 40
+        np.testing.assert_array_equal(planner.goals.free(near, part, hand, others, 40, work), free[:40])
+        hindered += not np.array_equal(free[:40], goals[order[:40]])
+
+        starts, ends = planner.goals.free_pairs(near, part, hand, others, 10**6, work)
+        by_lift = np.argsort(distances, axis=0, kind="stable")[:4]  # the four goals nearest to each lift
+        expected = {(s, int(g)) for s, column in enumerate(by_lift.T) for g in column if is_free(goals[g])}
+        found = {
+            (int(np.abs(near.lifted - a).sum(axis=1).argmin()), int(np.abs(goals - b).sum(axis=1).argmin()))
+            for a, b in zip(starts, ends, strict=True)
+        }
+        assert found == expected
+        fewer = planner.goals.free_pairs(near, part, hand, others, 3, work)
+        np.testing.assert_array_equal(fewer, (starts[:3], ends[:3]))
+    assert hindered > 5
+
+
+def test_a_leg_is_not_planned_twice_in_one_situation(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    """What does not depend on chance is the same object when it is asked for again."""
+    edge = known_removals(planner, tuple(edges))[0][0]
+    others, parts = edge.state & ~(1 << edge.part), len(planner.assembly.parts)
+    situation = Situation(
+        planner.robot,
+        planner.reach,
+        planner.goals,
+        edge.part,
+        others,
+        flags_of(others, parts),
+        planner.world,
+        PADDING,
+        0.001,
+        planner.robot.workspace(64),
+    )
+    number = next(n for n in range(len(situation.hands)) if situation.branches(n))
+    assert situation.straight_leg(number, 32, 0.05) is situation.straight_leg(number, 32, 0.05)
+    assert situation.free_goals(number, 24) is situation.free_goals(number, 24)
+    assert situation.branches(number) == planner.reach.branches(edge.part, number, others, situation.work)
+
+
 def test_orientations_are_spread_evenly() -> None:
     quaternions = super_fibonacci(240)
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0)
@@ -537,9 +594,9 @@ def test_trees_grow_larger_where_four_attempts_found_nothing(
 ) -> None:
     grown = []
 
-    def attempt(part: int, others: int, rng: object, limit: float, options: RemovalOptions) -> Blocked:
+    def attempt(situation: Situation, rng: object, limit: float, options: RemovalOptions) -> Blocked:
         grown.append(options.tree_iterations)
-        return Blocked(part, "path", others)
+        return Blocked(situation.part, "path", situation.others)
 
     monkeypatch.setattr(planner, "_attempt", attempt)
     part = next(part for part in members(planner.assembly.root) if planner.lift_blockers[part] is not None)

@@ -66,24 +66,6 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
     return -q if q[0] < 0 else q
 
 
-def quaternions_from_rotations(R: ArrayLike) -> Array:
-    """Unit quaternions (K, 4), w >= 0, of rotation matrices (K, 3, 3); see `quaternion_from_rotation`."""
-    m = np.asarray(R, dtype=float)
-    # Row k of the symmetric matrix is 4 q_k q: the row of the largest component is the best conditioned one.
-    rows = np.empty((len(m), 4, 4))
-    trace = np.trace(m, axis1=1, axis2=2)
-    rows[:, 0, 0] = 1 + trace
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        rows[:, i + 1, i + 1] = 1 + 2 * m[:, i, i] - trace
-        rows[:, 0, i + 1] = rows[:, i + 1, 0] = m[:, k, j] - m[:, j, k]
-        rows[:, i + 1, j + 1] = rows[:, j + 1, i + 1] = m[:, i, j] + m[:, j, i]
-    largest = np.argmax(np.diagonal(rows, axis1=1, axis2=2), axis=1)
-    q: Array = rows[np.arange(len(m)), largest]
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(q[:, :1] < 0, -q, q)
-
-
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
     """A box: pose of its centre in some frame, and half its size along its own axes."""

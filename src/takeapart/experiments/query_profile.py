@@ -18,7 +18,7 @@ import numpy as np
 from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.removal import paths, planner, reach
+from takeapart.removal import paths, planner, reach, situation
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.model import load_robot
 
@@ -31,7 +31,7 @@ STAGES: tuple[tuple[Any, str, str], ...] = (
     (reach, "lift_ends", "lifts: their ends"),
     (reach, "complete_lifts", "lifts: between the ends"),
     (paths, "bends", "where a path may bend"),
-    (paths, "one_leg", "one straight leg"),
+    (situation, "one_leg", "one straight leg"),
     (paths, "two_legs", "two straight legs"),
     (paths, "rrt_connect", "trees"),
     (paths, "shorten", "shortening"),

@@ -7,7 +7,7 @@ import numpy as np
 from takeapart.compilation import compiled, compiled_lean
 from takeapart.motion.scene import Scene, set_piece
 from takeapart.robot.arrays import Flags, Floats
-from takeapart.robot.kernels import LARGEST_MARGIN, collect_placed
+from takeapart.robot.kernels import LARGEST_MARGIN, collect, collect_placed
 from takeapart.robot.kinematics import place, set_still
 
 
@@ -47,6 +47,25 @@ def path_blockers(scene: Scene, rows: Floats, hits: Flags) -> bool:
                 k *= 2
                 pieces *= 2
     return True
+
+
+@compiled
+def configuration_blockers(scene: Scene, configurations: Floats, hits: Flags) -> Flags:
+    """Marks in `hits` (K, parts + 1) every owner that each configuration (K, n) touches.
+
+    Returns:
+        (K,) whether the arm touches itself.
+    """
+    folded = np.zeros(len(configurations), np.uint8)
+    for k in range(len(configurations)):
+        folded[k] = not touches(scene, configurations[k], hits[k])
+    return folded
+
+
+@compiled_lean
+def touches(scene: Scene, q: Floats, hits: Flags) -> bool:
+    """Marks in `hits` (parts + 1,) every owner that a configuration touches; False if the arm touches itself."""
+    return collect(scene.arm, scene.held, scene.world, scene.present, scene.padding, q, scene.work, hits)
 
 
 @compiled_lean

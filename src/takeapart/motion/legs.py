@@ -16,8 +16,10 @@ from takeapart.robot.kinematics import forward
 
 
 @compiled
-def nearest_free(scene: Scene, lifted: Floats, goals: Floats, most: int) -> Floats:
-    """The free goal configurations (B, n) nearest in joint space to any of the lifted ones (A, n), nearest first."""
+def joint_distances(lifted: Floats, goals: Floats) -> Floats:
+    """Squared distance (G,) in joint space, rad^2, from each of the goal configurations (G, n) to the nearest of the
+    lifted ones (A, n).
+    """
     n = goals.shape[1]
     distance = np.empty(len(goals))
     for g in range(len(goals)):
@@ -28,17 +30,7 @@ def nearest_free(scene: Scene, lifted: Floats, goals: Floats, most: int) -> Floa
                 d = goals[g, j] - lifted[s, j]
                 total += d * d
             distance[g] = min(distance[g], total)
-    found = np.empty((most, n))
-    count = 0
-    for _ in range(len(goals)):  # mostly a few are enough: no need to sort them all
-        if count == most:
-            break
-        nearest = int(np.argmin(distance))
-        distance[nearest] = math.inf
-        if is_free(scene, goals[nearest]):
-            found[count] = goals[nearest]
-            count += 1
-    return found[:count].copy()
+    return distance
 
 
 @compiled
@@ -72,28 +64,20 @@ def near_pairs(lifted: Floats, goals: Floats, each: int) -> Indices:
 
 
 @compiled
-def one_leg(scene: Scene, lifted: Floats, goals: Floats, attempts: int, spacing: float) -> Floats:
-    """Rows (M, n) of a tool-straight path from a lifted configuration (A, n) to a goal one (G, n); (0, n) if none is
-    found.
+def one_leg(scene: Scene, starts: Floats, ends: Floats, spacing: float) -> Floats:
+    """Rows (M, n) of the first tool-straight path from a configuration of (P, n) to that in the same row of another
+    (P, n), all of them free; (0, n) if there is none.
 
     Args:
-        goals: configurations, free or not.
-        attempts: pairs tried at most, in the order of `near_pairs`.
         spacing: see `tool_edge`.
     """
-    n = lifted.shape[1]
+    n = starts.shape[1]
     rows = np.empty((MAXIMUM_ROWS, n))
-    tried = 0
-    for pair in near_pairs(lifted, goals, 4):
-        if tried == attempts:
-            break
-        if not is_free(scene, goals[pair[1]]):
-            continue
-        tried += 1
-        count = tool_edge(scene, lifted[pair[0]], goals[pair[1]], spacing, rows)
+    for k in range(len(starts)):
+        count = tool_edge(scene, starts[k], ends[k], spacing, rows)
         if count:
             path = np.empty((count + 1, n))
-            path[0] = lifted[pair[0]]
+            path[0] = starts[k]
             path[1:] = rows[:count]
             return path
     return np.empty((0, n))
@@ -176,6 +160,7 @@ def two_legs(
     first, second = np.empty((MAXIMUM_ROWS, n)), np.empty((MAXIMUM_ROWS, n))
     via = np.empty(n)
     tried = 0
+    tried_at = np.full(len(pairs), -1)  # the last point that each pair was tried with
     for k in range(len(points)):
         if points[k, 3] >= shorter_than:
             break
@@ -183,12 +168,15 @@ def two_legs(
         for _ in range(3):
             if tried == attempts:
                 return nothing
+            tried += 1
             pick = int(next_random(state) * len(pairs))
+            if tried_at[pick] == k:
+                continue  # it would fail as it did
+            tried_at[pick] = k
             start, goal = lifted[pairs[pick, 0]], goals[pairs[pick, 1]]
             share = math.sqrt(np.sum((points[k, :3] - a) ** 2)) / points[k, 3]
             for j in range(n):
                 via[j] = start[j] + share * (goal[j] - start[j])
-            tried += 1
             if not project_to_point(scene, via, points[k, 0], points[k, 1], points[k, 2]) or not is_free(scene, via):
                 continue
             count = tool_edge(scene, start, via, spacing, first)

@@ -7,10 +7,9 @@ import math
 import numpy as np
 
 from takeapart.compilation import compiled, compiled_lean
-from takeapart.motion.blockers import path_blockers
+from takeapart.motion.blockers import path_blockers, touches
 from takeapart.motion.scene import Scene
 from takeapart.robot.arrays import Flags, Floats
-from takeapart.robot.kernels import collect
 from takeapart.robot.kinematics import forward, jacobian
 
 LARGEST_LIFT_TURN = 0.025  # rad, of a joint between two rows of a lift: more would bend the line between them
@@ -131,12 +130,6 @@ def _let_part_meet_world(scene: Scene, meets: bool) -> None:
     """Whether the part is checked against the world: it touches its neighbours until it is lifted."""
     for h in range(scene.held.group[1], scene.held.group[2]):
         scene.held.meets_world[h] = meets
-
-
-@compiled_lean
-def touches(scene: Scene, q: Floats, hits: Flags) -> bool:
-    """Marks in `hits` (parts + 1,) every owner that a configuration touches; False if the arm touches itself."""
-    return collect(scene.arm, scene.held, scene.world, scene.present, scene.padding, q, scene.work, hits)
 
 
 @compiled

@@ -22,4 +22,9 @@ def state_of(flags: Flags) -> int:
 
 def states_of(flags: Flags) -> list[int]:
     """As `state_of`, for every row of flags (K, parts + 1)."""
-    return [int.from_bytes(row.tobytes(), "little") for row in np.packbits(flags[:, :-1], axis=1, bitorder="little")]
+    return owners_of(flags[:, :-1])
+
+
+def owners_of(flags: Flags) -> list[int]:
+    """Masks of the owners flagged in every row (K, parts + 1), among them number `parts`: what never leaves."""
+    return [int.from_bytes(row.tobytes(), "little") for row in np.packbits(flags, axis=1, bitorder="little")]

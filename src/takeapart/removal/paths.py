@@ -1,7 +1,7 @@
 """Paths from the lifted part to the goal, over all grasps: straight legs first, then trees, then shortening.
 
-One `PathSearch` is one removal query. Grasps are visited in the order of what they could gain, and left as soon as they
-cannot beat the best path found.
+One `PathSearch` is one attempt of a removal query. Grasps are visited in the order of what they could gain, and left as
+soon as they cannot beat the best path found.
 """
 
 from __future__ import annotations
@@ -10,20 +10,17 @@ import heapq
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from takeapart.geometry import Array
 from takeapart.motion.edges import waypoints
-from takeapart.motion.legs import bends, one_leg, two_legs
+from takeapart.motion.legs import bends, two_legs
 from takeapart.motion.rrt import rrt_connect
-from takeapart.motion.scene import Scene, new_scene
 from takeapart.motion.smooth import shorten
-from takeapart.removal.goals import GoalConfigurations
-from takeapart.removal.reach import LiftBranch, Reach
-from takeapart.robot.arrays import Flags, Workspace, WorldArrays
-from takeapart.robot.kinematics import tool_poses
-from takeapart.robot.model import RobotModel
+from takeapart.removal.reach import Hand
+from takeapart.removal.situation import Situation
 
 
 @dataclass(frozen=True)
@@ -91,14 +88,25 @@ class Path:
     polished: bool = False
 
 
+class Bends:
+    """Where paths from one place may bend: drawn when that is first asked for, with random numbers of their own."""
+
+    def __init__(self, situation: Situation, hand: Hand, goal: Array, samples: int, longest: float, seed: int) -> None:
+        self._situation, self._hand, self._goal = situation, hand, goal
+        self._samples, self._longest, self._seed = samples, longest, seed
+
+    @cached_property
+    def points(self) -> Array:
+        """(K, 4) points and lengths of the paths, m, as of `bends`; shortest first."""
+        world, present = self._situation.world, self._situation.present
+        start, radius = self._hand.lifted, self._hand.radius
+        return bends(world, present, start, self._goal, radius, self._samples, self._longest, self._seed)
+
+
 class PathSearch:
-    """The paths of one part in one state.
+    """The paths of one part in one state, planned once.
 
     Args:
-        others: the parts that stand around.
-        present: the same as flags (parts + 1,).
-        world: with the clearance field of that state.
-        padding: distance kept, m.
         lift: height, m.
         goal: (3,) m.
         shorter_than: length of the removal known from before, m; infinite if there is none.
@@ -106,29 +114,17 @@ class PathSearch:
 
     def __init__(
         self,
+        situation: Situation,
         options: RemovalOptions,
-        robot: RobotModel,
-        reach: Reach,
-        goals: GoalConfigurations,
-        part: int,
-        others: int,
-        present: Flags,
-        world: WorldArrays,
-        padding: float,
         lift: float,
         goal: Array,
         shorter_than: float,
         rng: np.random.Generator,
-        work: Workspace,
     ) -> None:
-        self.options, self.robot, self.reach, self.goals = options, robot, reach, goals
-        self.part, self.others, self.present, self.world = part, others, present, world
-        self.padding, self.lift, self.goal, self.rng, self.work = padding, lift, goal, rng, work
-        self.hands = reach.hands(part, work)
+        self.situation, self.options, self.lift, self.goal, self.rng = situation, options, lift, goal, rng
+        self.hands, self.others = situation.hands, situation.others
         self.motion_plans = 0
         self._tolerance = options.first_tolerance if math.isinf(shorter_than) else options.tolerance
-        self._scenes: dict[int, Scene] = {}
-        self._goals: dict[int, Array] = {}
 
     def open_grasps(self, limit: float) -> list[int]:
         """Grasps that the hand can take and that can still be shorter than a removal of the limit's length, m."""
@@ -138,10 +134,6 @@ class PathSearch:
             for number, hand in enumerate(self.hands)
             if hand.bound < most and hand.blockers is not None and not hand.blockers & self.others
         ]
-
-    def branches(self, number: int) -> tuple[LiftBranch, ...]:
-        """The arm's ways to hold and lift the part with a grasp in this state."""
-        return self.reach.branches(self.part, number, self.others, self.work)
 
     def search(self, open_: list[int], limit: float) -> list[Path]:
         """Paths with these grasps, the shortest first; each found is shorter than what was known before it.
@@ -163,33 +155,23 @@ class PathSearch:
             return path
         return self._shortened(path, self.options.shortening_moves, math.inf)
 
-    def scene(self, number: int) -> Scene:
-        """The planning situation with a grasp in the hand."""
-        if number not in self._scenes:
-            held = self.hands[number].held
-            self._scenes[number] = new_scene(
-                self.robot.arm, held, self.world, self.present, self.padding, self.options.check_step, self.work
-            )
-        return self._scenes[number]
-
     def _legs(self, open_: list[int], limit: float) -> Iterator[Path]:
         """Paths of one or two straight legs, each shorter than the one before; limits in m, lift included."""
         options, tried = self.options, 0
-        for estimate, number, points in self._estimates(open_, limit):
+        for estimate, number, via in self._estimates(open_, limit):
             if estimate >= limit - self._tolerance or tried >= options.leg_grasps:
                 return
-            branches = self.branches(number)
-            if not branches:
+            if not self.situation.branches(number):
                 continue
             tried += 1
-            path = self._leg(number, branches, points, limit - self.lift)
+            path = self._leg(number, via, limit - self.lift)
             if path is not None and path.length + self.lift < limit:
                 yield path
                 limit = path.length + self.lift
 
-    def _estimates(self, open_: list[int], limit: float) -> Iterator[tuple[float, int, Array]]:
+    def _estimates(self, open_: list[int], limit: float) -> Iterator[tuple[float, int, Bends]]:
         """Grasps with the least length, m, of a path with at most one bend that a ball could follow, shortest first."""
-        known: dict[tuple[float, ...], Array] = {}
+        known: dict[int, Bends] = {}
         longest = limit - self.lift
         # An entry is a grasp's bound first; when it comes to the front its estimate is made, and it is put back.
         queue = [(self.hands[n].bound, self.hands[n].steepness, n, False) for n in open_]
@@ -197,42 +179,37 @@ class PathSearch:
         while queue:
             estimate, steepness, number, estimated = heapq.heappop(queue)
             hand = self.hands[number]
-            key = tuple(np.round(hand.lifted, 6).tolist())
             if estimated:
-                yield estimate, number, known[key]
+                yield estimate, number, known[hand.place]
                 continue
-            if key not in known:
-                known[key] = bends(
-                    self.world,
-                    self.present,
-                    hand.lifted,
-                    self.goal,
-                    hand.radius,
-                    self.options.bend_samples,
-                    longest,
-                    self._seed(),
-                )
-            points = known[key]
-            if hand.line is not None and not hand.line & self.others:
+            if hand.place not in known:
+                samples = self.options.bend_samples
+                known[hand.place] = Bends(self.situation, hand, self.goal, samples, longest, self._seed())
+            if self.situation.is_line_open(number):
                 heapq.heappush(queue, (estimate, steepness, number, True))
-            elif len(points):
+            elif len(points := known[hand.place].points):
                 heapq.heappush(queue, (max(estimate, float(points[0, 3]) + self.lift), steepness, number, True))
 
-    def _leg(self, number: int, branches: tuple[LiftBranch, ...], points: Array, longest: float) -> Path | None:
+    def _leg(self, number: int, via: Bends, longest: float) -> Path | None:
         """A path that is straight for the tool, or else one of two straight legs, shortened a little."""
         self.motion_plans += 1
-        options, hand, scene = self.options, self.hands[number], self.scene(number)
-        lifted = np.array([branch.rows[-1] for branch in branches])
-        if hand.line is not None and not hand.line & self.others:
-            every = self.goals.all(self.work)
-            rows = one_leg(scene, lifted, every, options.straight_attempts, options.waypoint_spacing)
+        options, situation = self.options, self.situation
+        if situation.is_line_open(number):
+            rows = situation.straight_leg(number, options.straight_attempts, options.waypoint_spacing)
             if len(rows):
                 return self._path(number, rows, polished=True)
-        goals = self._free_goals(number, lifted)
+        goals = situation.free_goals(number, options.tree_goals)
         if not len(goals):
             return None
         rows = two_legs(
-            scene, lifted, goals, points, options.bend_attempts, longest, options.waypoint_spacing, self._seed()
+            situation.scene(number),
+            situation.lifted(number),
+            goals,
+            via.points,
+            options.bend_attempts,
+            longest,
+            options.waypoint_spacing,
+            self._seed(),
         )
         if not len(rows):
             return None
@@ -247,12 +224,11 @@ class PathSearch:
             if failures >= options.tree_failures / (1 if math.isinf(limit) else 3):
                 return
             number = usable[turn % len(usable)]
-            branches = self.branches(number) if self.hands[number].bound < limit - self._tolerance else ()
-            if not branches:
+            if self.hands[number].bound >= limit - self._tolerance or not self.situation.branches(number):
                 usable.remove(number)
                 continue
             turn += 1
-            path = self._tree(number, branches, limit - self.lift)
+            path = self._tree(number, limit - self.lift)
             if path is None:
                 failures += 1
                 continue
@@ -265,35 +241,32 @@ class PathSearch:
         first: list[int] = []
         later: list[int] = []
         seen: set[tuple[int, ...]] = set()
-        for number in sorted(open_, key=lambda n: (self.hands[n].steepness, n)):
-            kind = self.hands[number].kind
-            (later if kind in seen else first).append(number)
-            seen.add(kind)
+        usable = set(open_)
+        for number in self.situation.steepest_first:
+            if number in usable:
+                kind = self.hands[number].kind
+                (later if kind in seen else first).append(number)
+                seen.add(kind)
         return first + later
 
-    def _tree(self, number: int, branches: tuple[LiftBranch, ...], longest: float) -> Path | None:
+    def _tree(self, number: int, longest: float) -> Path | None:
         """A path by RRT-Connect, shortened a little."""
         self.motion_plans += 1
-        options, scene = self.options, self.scene(number)
-        lifted = np.array([branch.rows[-1] for branch in branches])
-        goals = self._free_goals(number, lifted)
+        options, scene = self.options, self.situation.scene(number)
+        goals = self.situation.free_goals(number, options.tree_goals)
         if not len(goals):
             return None
+        lifted = self.situation.lifted(number)
         corners = rrt_connect(scene, lifted, goals, options.tree_iterations, options.tree_stride, self._seed())
         rows = waypoints(scene, corners, options.waypoint_spacing) if len(corners) else corners
         if not len(rows):
             return None
         return self._shortened(self._path(number, rows), options.quick_moves, longest)
 
-    def _free_goals(self, number: int, lifted: Array) -> Array:
-        if number not in self._goals:
-            self._goals[number] = self.goals.free(self.scene(number), lifted, self.work, self.options.tree_goals)
-        return self._goals[number]
-
     def _shortened(self, path: Path, moves: int, longest: float) -> Path:
         options = self.options
         rows = shorten(
-            self.scene(path.number),
+            self.situation.scene(path.number),
             path.rows,
             self.hands[path.number].radius,
             moves,
@@ -305,9 +278,7 @@ class PathSearch:
         return self._path(path.number, rows, polished=moves >= options.shortening_moves)
 
     def _path(self, number: int, rows: Array, polished: bool = False) -> Path:
-        positions, rotations = np.empty((len(rows), 3)), np.empty((len(rows), 3, 3))
-        tool_poses(self.robot.arm, rows, self.work, positions, rotations)
-        return Path(number, rows, float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()), polished)
+        return Path(number, rows, self.situation.tool_length(rows), polished)
 
     def _seed(self) -> int:
         return int(self.rng.integers(1 << 62))

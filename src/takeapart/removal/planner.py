@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from takeapart.assembly import Assembly
-from takeapart.geometry import Array, OrientedBox, quaternions_from_rotations
+from takeapart.geometry import Array, OrientedBox
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
 from takeapart.plan import Grasp
@@ -22,6 +22,7 @@ from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
 from takeapart.removal.reach import Reach
 from takeapart.removal.result import Blocked, Counts, Removal
+from takeapart.removal.situation import Situation
 from takeapart.robot.arrays import Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import LARGEST_MARGIN
@@ -83,7 +84,7 @@ class RemovalPlanner:
         self.world = self._world_of(assembly.root)
         self._ik = ik = InverseKinematics(self.robot)
         self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.lift_check_step)
-        self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding)
+        self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding, self._parts)
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
         self._local = threading.local()
@@ -91,6 +92,7 @@ class RemovalPlanner:
     def forget_grasps(self) -> None:
         """Starts anew with grasps and lifts, which are kept from the first time they are asked for."""
         self.reach.forget()
+        self.goals.forget()
 
     def straight_line_bound(self, part: int) -> float:
         """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any
@@ -119,11 +121,23 @@ class RemovalPlanner:
         lift = self.lift_blockers[part]
         if lift is None or lift & others:
             return Blocked(part, "lift", (lift or 0) & others)
+        situation = Situation(
+            self.robot,
+            self.reach,
+            self.goals,
+            part,
+            others,
+            flags_of(others, self._parts),
+            self._world_of(others),
+            self._padding,
+            self.options.check_step,
+            self._workspace(),
+        )
         best: Removal | Blocked | None = None
         limit = shorter_than
         for turn in range(attempts):
             patient = turn >= USUAL_ATTEMPTS and math.isinf(limit)
-            found = self._attempt(part, others, rng, limit, self._patient if patient else self.options)
+            found = self._attempt(situation, rng, limit, self._patient if patient else self.options)
             if isinstance(found, Removal) and found.length >= limit:
                 found = Blocked(part, "path", others)  # shortening did not get it below
             if isinstance(found, Removal):
@@ -136,82 +150,69 @@ class RemovalPlanner:
         return best
 
     def _attempt(
-        self, part: int, others: int, rng: np.random.Generator, limit: float, options: RemovalOptions
+        self, situation: Situation, rng: np.random.Generator, limit: float, options: RemovalOptions
     ) -> Removal | Blocked:
-        work = self._workspace()
-        search = PathSearch(
-            options,
-            self.robot,
-            self.reach,
-            self.goals,
-            part,
-            others,
-            flags_of(others, self._parts),
-            self._world_of(others),
-            self._padding,
-            self.workcell.lift_height,
-            self.workcell.goal,
-            limit,
-            rng,
-            work,
-        )
+        search = PathSearch(situation, options, self.workcell.lift_height, self.workcell.goal, limit, rng)
         open_ = search.open_grasps(limit)
         best: Removal | None = None
         for place, path in enumerate(search.search(open_, limit)):
-            if best is not None and (place >= self.options.finalists or search.hands[path.number].bound >= best.length):
+            bound = situation.hands[path.number].bound
+            if best is not None and (place >= self.options.finalists or bound >= best.length):
                 break
-            removal = self._finish(search, search.polished(path), work)
+            removal = self._finish(situation, search.polished(path))
             if removal is not None and (best is None or removal.length < best.length):
                 best = removal
         with self._lock:
             self.counts.motion_plans += search.motion_plans
-        return best if best is not None else self._refusal(search, open_)
+        return best if best is not None else self._refusal(situation, open_)
 
-    def _refusal(self, search: PathSearch, open_: list[int]) -> Blocked:
+    def _refusal(self, situation: Situation, open_: list[int]) -> Blocked:
         """The furthest stage that any grasp reached, and the fewest parts whose absence would take one further.
 
         Args:
             open_: grasps that the hand can take.
         """
-        part, others = search.part, search.others
+        part, others = situation.part, situation.others
         if not open_:
-            known = [hand.blockers & others for hand in search.hands if hand.blockers is not None]
+            known = [hand.blockers & others for hand in situation.hands if hand.blockers is not None]
             return Blocked(part, "grasp", _fewest(known))
-        if not len(self.goals.all(search.work)):
+        if not len(self.goals.all(situation.work)):
             return Blocked(part, "ik", 0)
-        if any(search.branches(number) for number in open_):
-            return Blocked(part, "path", self._blame_path(search))
-        known = [mask for number in open_ for mask in self.reach.in_the_way(part, number, others, search.work)]
+        if any(situation.branches(number) for number in open_):
+            return Blocked(part, "path", self._blame_path(situation))
+        known = [mask for number in open_ for mask in self.reach.in_the_way(part, number, others, situation.work)]
         return Blocked(part, "ik", _fewest(known))
 
-    def _finish(self, search: PathSearch, path: Path, work: Workspace) -> Removal | None:
+    def _finish(self, situation: Situation, path: Path) -> Removal | None:
         """Joins lift and path, and finds the blockers of the whole motion; None if the motion does not hold."""
-        part, others = search.part, search.others
-        branch = next(b for b in search.branches(path.number) if np.array_equal(b.rows[-1], path.rows[0]))
+        part, others = situation.part, situation.others
+        place = int((situation.lifted(path.number) == path.rows[0]).all(axis=1).argmax())
+        branch = situation.branches(path.number)[place]
         everything = flags_of(self.assembly.root & ~(1 << part), self._parts)
-        scene = search.scene(path.number)._replace(
+        scene = situation.scene(path.number)._replace(
             world=self.world,
             present=everything,
             padding=self.workcell.clearance,  # the check adds what moves between its samples
         )
+        lift_hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
+        lift_hits[-1] = 0
         for straighten in (True, False):  # as it was planned, if the straighter one hits something
             rows = resampled(scene, path.rows, self.options.row_spacing, straighten)
-            hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
-            hits[-1] = 0
+            hits = lift_hits.copy()
             if len(rows) and path_blockers(scene, rows, hits) and not state_of(hits) & others:
                 break
         else:
             return None
         joint_path = np.concatenate([branch.rows[:-1], rows])
         tool_path = self.tool_path(joint_path)
-        held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), search.hands[path.number].candidate.width)
+        held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), situation.hands[path.number].candidate.width)
         return Removal(part, held, joint_path, tool_path, tool_length(tool_path), state_of(hits))
 
     def tool_path(self, joint_path: Array) -> Array:
         """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad."""
-        positions, rotations = np.empty((len(joint_path), 3)), np.empty((len(joint_path), 3, 3))
-        tool_poses(self.robot.arm, np.ascontiguousarray(joint_path), self._workspace(), positions, rotations)
-        return np.column_stack([positions, quaternions_from_rotations(rotations)])
+        poses = np.empty((len(joint_path), 7))
+        tool_poses(self.robot.arm, np.ascontiguousarray(joint_path), self._workspace(), poses)
+        return poses
 
     def _workspace(self) -> Workspace:
         if not hasattr(self._local, "work"):
@@ -229,13 +230,13 @@ class RemovalPlanner:
             self._worlds[state] = world
         return world
 
-    def _blame_path(self, search: PathSearch) -> int:
+    def _blame_path(self, situation: Situation) -> int:
         """Parts that the straight line of every grasp meets; all others if there is no such part."""
-        common = search.others
-        for hand in search.hands:
+        common = situation.others
+        for hand in situation.hands:
             if hand.line is not None:
                 common &= hand.line
-        return common or search.others
+        return common or situation.others
 
 
 def _fewest(masks: Sequence[int]) -> int:

@@ -35,6 +35,7 @@ class Hand:
     Args:
         bound: straight up and straight to the goal, m; no removal with this grasp is shorter.
         lifted: (3,) m, the tool's position after the lift.
+        place: the number of that position: grasps of one part that lift the tool to the same place have the same.
         radius: of a ball around the tool that is always inside the held part, m.
         load: fingers, and the part with its own frame for the tool's.
         T_tool_part: (4, 4).
@@ -48,6 +49,7 @@ class Hand:
     candidate: GraspCandidate
     bound: float
     lifted: Array
+    place: int
     radius: float
     load: HeldArrays
     T_tool_part: Array
@@ -115,7 +117,9 @@ class Reach:
         self._padding, self._step, self._lift = padding, step, workcell.lift_height
         self._loads: dict[tuple[int, float], HeldArrays] = {}
         self._candidates: dict[int, tuple[GraspCandidate, ...]] = {}
+        self._bounds: dict[int, float] = {}  # m
         self._hands: dict[int, tuple[Hand, ...]] = {}
+        self._steepest: dict[int, list[int]] = {}
         self._solutions: dict[tuple[int, int], Array] = {}  # (S, n) rad
         self._lifts: dict[tuple[int, int], _Lifts] = {}
 
@@ -134,15 +138,24 @@ class Reach:
 
     def bound(self, part: int) -> float:
         """The least straight-line bound of any grasp, m; infinite if the part cannot be gripped."""
-        first = self.candidates(part)[:1]
-        bounds = straight_line_bounds(self._assembly.parts[part], first, self._lift, self._workcell.goal)
-        return float(bounds.min(initial=math.inf))
+        if part not in self._bounds:
+            first = self.candidates(part)[:1]
+            bounds = straight_line_bounds(self._assembly.parts[part], first, self._lift, self._workcell.goal)
+            self._bounds[part] = float(bounds.min(initial=math.inf))
+        return self._bounds[part]
 
     def hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
         """All grasps in the order of `candidates`, as far as the hand decides them."""
         if part not in self._hands:
             self._hands[part] = self._solve_hands(part, work)
         return self._hands[part]
+
+    def steepest_first(self, part: int, work: Workspace) -> list[int]:
+        """Numbers of the grasps, those from above first."""
+        if part not in self._steepest:
+            steepness = [hand.steepness for hand in self.hands(part, work)]
+            self._steepest[part] = sorted(range(len(steepness)), key=steepness.__getitem__)
+        return self._steepest[part]
 
     def branches(self, part: int, number: int, others: int, work: Workspace) -> tuple[LiftBranch, ...]:
         """The arm's ways to hold and lift the part with a grasp, by its number in the order of `hands`, that are free
@@ -198,7 +211,7 @@ class Reach:
 
     def forget(self) -> None:
         """Starts anew with grasps and lifts; the shapes of parts and fingers stay."""
-        for known in (self._candidates, self._hands, self._solutions, self._lifts):
+        for known in (self._candidates, self._bounds, self._hands, self._steepest, self._solutions, self._lifts):
             known.clear()
 
     def _solve_hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
@@ -239,6 +252,7 @@ class Reach:
             hits[chosen], lines[chosen] = some_hits, some_lines
         lines[:, part] = 0
         lifted = starts[:, :3, 3] + [0.0, 0.0, self._lift]
+        places = np.unique(np.round(lifted, 6), axis=0, return_inverse=True)[1].ravel().tolist()
         same_place = np.abs(np.diff(poses[:, :3, 2:], axis=0)).max(axis=(1, 2)) < 1e-9
         exchanged = same_place & (np.abs(poses[1:, :3, 1] + poses[:-1, :3, 1]).max(axis=1) < 1e-9)
         partners: list[int | None] = [None] * len(candidates)
@@ -251,6 +265,7 @@ class Reach:
                 candidate,
                 bound,
                 lifted[k],
+                places[k],
                 radius,
                 loads[candidate.width],
                 inverses[k],

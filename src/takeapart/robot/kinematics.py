@@ -69,14 +69,51 @@ def linear_jacobian(work: Workspace, J: Floats) -> None:
 
 
 @compiled_lean
-def tool_poses(arm: ArmArrays, rows: Floats, work: Workspace, positions: Floats, rotations: Floats) -> None:
-    """Tool positions (M, 3), m, and rotations (M, 3, 3) of configurations (M, n)."""
+def tool_poses(arm: ArmArrays, rows: Floats, work: Workspace, poses: Floats) -> None:
+    """Poses of the tool (M, 7) at configurations (M, n): x, y, z, m, and unit quaternion w, x, y, z with w >= 0."""
     for k in range(len(rows)):
         forward(arm, rows[k], work)
         for i in range(3):
-            positions[k, i] = work.p_tool[i]
-            for j in range(3):
-                rotations[k, i, j] = work.R_tool[i, j]
+            poses[k, i] = work.p_tool[i]
+        _write_quaternion(work.R_tool, poses[k, 3:])
+
+
+@compiled_lean
+def _write_quaternion(R: Floats, q: Floats) -> None:
+    """Shepperd's method, as in `geometry.quaternion_from_rotation`."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    largest, greatest = 0, 1.0 + trace
+    for i in range(3):
+        squared = 1.0 + 2.0 * R[i, i] - trace
+        if squared > greatest:
+            largest, greatest = i + 1, squared
+    # Row k of the symmetric matrix 4 q q' is 4 q_k q: the row of the largest component is the best conditioned one.
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if largest == 0:
+            q[i + 1] = R[k, j] - R[j, k]
+        elif largest == i + 1:
+            q[0] = R[k, j] - R[j, k]
+        else:
+            q[i + 1] = R[largest - 1, i] + R[i, largest - 1]
+    q[largest] = greatest
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if q[0] < 0.0:
+        length = -length
+    for i in range(4):
+        q[i] /= length
+
+
+@compiled_lean
+def tool_steps(arm: ArmArrays, rows: Floats, work: Workspace, steps: Floats) -> None:
+    """How far the tool gets from each configuration of (M, n) to the next, m; written to `steps` (M - 1,)."""
+    x = y = z = 0.0
+    for k in range(len(rows)):
+        forward(arm, rows[k], work)
+        if k:
+            dx, dy, dz = work.p_tool[0] - x, work.p_tool[1] - y, work.p_tool[2] - z
+            steps[k - 1] = math.sqrt(dx * dx + dy * dy + dz * dz)
+        x, y, z = work.p_tool[0], work.p_tool[1], work.p_tool[2]
 
 
 @compiled_lean

@@ -1,0 +1,107 @@
+"""One part in one state, as a query sees it: what does not depend on chance is found once, however often it plans."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from takeapart.geometry import Array
+from takeapart.motion.legs import one_leg
+from takeapart.motion.scene import Scene, new_scene
+from takeapart.removal.goals import GoalConfigurations
+from takeapart.removal.reach import Hand, LiftBranch, Reach
+from takeapart.robot.arrays import Flags, Workspace, WorldArrays
+from takeapart.robot.kinematics import tool_steps
+from takeapart.robot.model import RobotModel
+
+
+class Situation:
+    """A part to be removed, and what stands around.
+
+    Args:
+        part: its number.
+        others: the parts that stand around.
+        present: the same as flags (parts + 1,).
+        world: with the clearance field of that state.
+        padding: distance kept, m.
+        step: see `Scene`, m.
+        work: of the thread that plans.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        reach: Reach,
+        goals: GoalConfigurations,
+        part: int,
+        others: int,
+        present: Flags,
+        world: WorldArrays,
+        padding: float,
+        step: float,
+        work: Workspace,
+    ) -> None:
+        self.robot, self.reach, self.goals, self.part, self.others = robot, reach, goals, part, others
+        self.present, self.world, self.padding, self.step, self.work = present, world, padding, step, work
+        self._scenes: dict[int, Scene] = {}
+        self._branches: dict[int, tuple[LiftBranch, ...]] = {}
+        self._free_goals: dict[int, Array] = {}
+        self._straight_legs: dict[int, Array] = {}
+
+    @cached_property
+    def hands(self) -> tuple[Hand, ...]:
+        """All grasps of the part; elsewhere they go by their numbers in this order."""
+        return self.reach.hands(self.part, self.work)
+
+    @cached_property
+    def steepest_first(self) -> list[int]:
+        """Numbers of the grasps, those from above first."""
+        return self.reach.steepest_first(self.part, self.work)
+
+    def branches(self, number: int) -> tuple[LiftBranch, ...]:
+        """The arm's ways to hold and lift the part with a grasp in this state."""
+        if number not in self._branches:
+            self._branches[number] = self.reach.branches(self.part, number, self.others, self.work)
+        return self._branches[number]
+
+    def lifted(self, number: int) -> Array:
+        """Where these ways end, (A, n), rad; there must be one."""
+        return self.goals.neighbours(self.branches(number), self.work).lifted
+
+    def scene(self, number: int) -> Scene:
+        """The planning situation of the kernels, with a grasp in the hand."""
+        if number not in self._scenes:
+            held = self.hands[number].held
+            self._scenes[number] = new_scene(
+                self.robot.arm, held, self.world, self.present, self.padding, self.step, self.work
+            )
+        return self._scenes[number]
+
+    def is_line_open(self, number: int) -> bool:
+        """Whether a ball in the held part can pass on the straight line to the goal."""
+        line = self.hands[number].line
+        return line is not None and not line & self.others
+
+    def straight_leg(self, number: int, attempts: int, spacing: float) -> Array:
+        """Rows (M, n) of a tool-straight path to the goal with a grasp that has branches; (0, n) if there is none."""
+        if number not in self._straight_legs:
+            near = self.goals.neighbours(self.branches(number), self.work)
+            hand = self.hands[number]
+            starts, ends = self.goals.free_pairs(near, self.part, hand, self.others, attempts, self.work)
+            self._straight_legs[number] = one_leg(self.scene(number), starts, ends, spacing)
+        return self._straight_legs[number]
+
+    def free_goals(self, number: int, most: int) -> Array:
+        """The free goal configurations (B, n) nearest to where the lifts with a grasp end."""
+        if number not in self._free_goals:
+            near = self.goals.neighbours(self.branches(number), self.work)
+            hand = self.hands[number]
+            self._free_goals[number] = self.goals.free(near, self.part, hand, self.others, most, self.work)
+        return self._free_goals[number]
+
+    def tool_length(self, rows: Array) -> float:
+        """Length, m, of the tool path (Eq. 2) of joint rows (M, n)."""
+        steps = np.empty(len(rows) - 1)
+        tool_steps(self.robot.arm, rows, self.work, steps)
+        return float(steps.sum())
