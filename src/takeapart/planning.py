@@ -304,12 +304,11 @@ def plan_of(
     if not result.removals:
         return infeasible_of(problem, result)
     steps = tuple(_step(assembly, removal) for removal in result.removals)
-    bounds = [problem.planner.straight_line_bound(removal.part) for removal in result.removals]
     statistics = {name: _number(value) for name, value in sorted(result.statistics.items())}
     return Plan(
         steps=steps,
         total_length=math.fsum(step.length for step in steps),
-        straight_line_bound=math.fsum(bounds),
+        straight_line_bound=problem.planner.straight_line_total(result.removals),
         sequence_bound=result.sequence_bound,
         counts=asdict(problem.counts),
         seconds=seconds,

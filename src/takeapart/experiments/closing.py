@@ -50,7 +50,7 @@ def close(name: str, workcell: Workcell, robot: RobotModel, seed: int = 0) -> Cl
     started = time.perf_counter()
     found = exact(problem, ExactOptions(), Budget())
     seconds = time.perf_counter() - started
-    straight = math.fsum(problem.planner.straight_line_bound(removal.part) for removal in found.removals)
+    straight = problem.planner.straight_line_total(found.removals)
     bound = -math.inf if found.sequence_bound is None else found.sequence_bound
     return Closing(seconds, problem.counts.removal_queries, found.length, bound, straight)
 

@@ -303,7 +303,7 @@ class ReferenceTask:
         problem = build_problem(self.assembly, self.workcell, PlanningOptions(seed=self.seed))
         result = exact(problem, ExactOptions(), Budget(queries=self.queries))
         _write_order(out, self.assembly, result)
-        straight = math.fsum(problem.planner.straight_line_bound(removal.part) for removal in result.removals)
+        straight = problem.planner.straight_line_total(result.removals)
         return {
             "length": result.length if math.isfinite(result.length) else None,
             "sequence_bound": result.sequence_bound,

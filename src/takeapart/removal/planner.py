@@ -100,6 +100,10 @@ class RemovalPlanner:
         """
         return self.reach.bound(part)
 
+    def straight_line_total(self, removals: Sequence[Removal]) -> float:
+        """No plan that removes the same parts in this workcell is shorter, m."""
+        return math.fsum(self.straight_line_bound(removal.part) for removal in removals)
+
     def plan(
         self, part: int, state: int, *, rng: np.random.Generator, shorter_than: float = math.inf, attempts: int = 1
     ) -> Removal | Blocked:
