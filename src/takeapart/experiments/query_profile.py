@@ -18,7 +18,7 @@ import numpy as np
 from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.removal import paths, planner, reach, situation
+from takeapart.removal import goals, paths, planner, reach, situation
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.model import load_robot
 
@@ -30,6 +30,9 @@ STAGES: tuple[tuple[Any, str, str], ...] = (
     (InverseKinematics, "_within_limits", "inverse kinematics, near the limits"),
     (reach, "lift_ends", "lifts: their ends"),
     (reach, "complete_lifts", "lifts: between the ends"),
+    (goals, "joint_distances", "goals: which are near"),
+    (goals, "near_pairs", "goals: which are near"),
+    (goals, "configuration_blockers", "goals: what the arm would hit"),
     (paths, "bends", "where a path may bend"),
     (situation, "one_leg", "one straight leg"),
     (paths, "two_legs", "two straight legs"),

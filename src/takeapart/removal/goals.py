@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,19 +32,39 @@ LOOKED_AT = 32  # goal configurations that are judged at a time
 KEPT_NEIGHBOURS = 4096  # sets of lifts
 
 
-@dataclass(frozen=True, eq=False)
 class Neighbours:
-    """The goal configurations near some ways to lift a part, by their numbers.
+    """The goal configurations near some ways to lift a part, by their numbers; each answer is found when asked for.
 
     Args:
         lifted: (A, n) rad, where these lifts end.
-        pairs: (P, 2) of a lifted configuration and a goal, see `near_pairs`.
-        nearest: (G,) all goals, the nearest in joint space to any of the lifted ones first.
+        goals: (G, n) rad.
     """
 
-    lifted: Array
-    pairs: Indices
-    nearest: Indices
+    def __init__(self, lifted: Array, goals: Array) -> None:
+        self.lifted, self._goals = lifted, goals
+
+    @cached_property
+    def pairs(self) -> Indices:
+        """(P, 2) of a lifted configuration and a goal, see `near_pairs`."""
+        return near_pairs(self.lifted, self._goals, GOALS_PER_LIFT)
+
+    @cached_property
+    def closest(self) -> list[int]:
+        """The LOOKED_AT goals nearest in joint space to any of the lifted configurations, and others as far as the last
+        of them: the beginning of `order`.
+        """
+        if len(self._goals) <= LOOKED_AT:
+            return self.order
+        distances = joint_distances(self.lifted, self._goals)
+        near = np.flatnonzero(distances <= np.partition(distances, LOOKED_AT - 1)[LOOKED_AT - 1])
+        closest: list[int] = near[np.argsort(distances[near], kind="stable")].tolist()
+        return closest
+
+    @cached_property
+    def order(self) -> list[int]:
+        """All goals, the nearest first; `closest` is mostly enough."""
+        order: list[int] = np.argsort(joint_distances(self.lifted, self._goals), kind="stable").tolist()
+        return order
 
 
 class GoalConfigurations:
@@ -84,8 +104,7 @@ class GoalConfigurations:
         found = self._neighbours.get(branches)
         if found is None:
             goals, lifted = self.all(work), np.array([branch.rows[-1] for branch in branches])
-            nearest = np.argsort(joint_distances(lifted, goals), kind="stable")
-            found = Neighbours(lifted, near_pairs(lifted, goals, GOALS_PER_LIFT), nearest)
+            found = Neighbours(lifted, goals)
             if len(self._neighbours) >= KEPT_NEIGHBOURS:
                 self._neighbours.clear()
             self._neighbours[branches] = found
@@ -93,12 +112,14 @@ class GoalConfigurations:
 
     def free(self, near: Neighbours, part: int, hand: Hand, others: int, most: int, work: Workspace) -> Array:
         """The nearest goal configurations (B, n) that are free with a part in the hand and others standing around."""
+        numbers, looked_at = near.closest, 0
         found: list[int] = []
-        for first in range(0, len(near.nearest), LOOKED_AT):
-            numbers = near.nearest[first : first + LOOKED_AT].tolist()
+        while numbers:
             found += [numbers[k] for k in self._free(numbers, part, hand, others, work)]
             if len(found) >= most:
                 break
+            looked_at += len(numbers)
+            numbers = near.order[looked_at : looked_at + LOOKED_AT]
         return self.all(work)[found[:most]]
 
     def free_pairs(
