@@ -39,7 +39,7 @@ DEFAULTS = RemovalOptions()
 USUAL_ATTEMPTS = 4  # that find nothing, before trees are allowed to grow larger
 LARGER_TREES = 5  # times as many random samples: a way that small trees miss again and again is narrow
 
-__all__ = ["RemovalOptions", "RemovalPlanner", "tool_length"]
+__all__ = ["RemovalOptions", "RemovalPlanner"]
 
 
 class RemovalPlanner:
@@ -210,7 +210,7 @@ class RemovalPlanner:
         joint_path = np.concatenate([branch.rows[:-1], rows])
         tool_path = self.tool_path(joint_path)
         held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), situation.hands[path.number].candidate.width)
-        return Removal(part, held, joint_path, tool_path, tool_length(tool_path), state_of(hits))
+        return Removal(part, held, joint_path, tool_path, situation.tool_length(joint_path), state_of(hits))
 
     def tool_path(self, joint_path: Array) -> Array:
         """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad."""
@@ -246,8 +246,3 @@ class RemovalPlanner:
 def _fewest(masks: Sequence[int]) -> int:
     """The first of the masks with the fewest parts."""
     return min(masks, key=int.bit_count, default=0)
-
-
-def tool_length(tool_path: Array) -> float:
-    """Length of a tool path (M, 7), m: sum of distances of consecutive positions (Eq. 2)."""
-    return float(np.linalg.norm(np.diff(tool_path[:, :3], axis=0), axis=1).sum())
