@@ -46,15 +46,15 @@ class Situation:
         self.present, self.world, self.padding, self.step, self.work = present, world, padding, step, work
         self._scenes: dict[int, Scene] = {}
         self._branches: dict[int, tuple[LiftBranch, ...]] = {}
-        self._free_goals: dict[int, Array] = {}
-        self._straight_legs: dict[int, Array] = {}
+        self._free_goals: dict[tuple[int, int], Array] = {}
+        self._straight_legs: dict[tuple[int, int, float], Array] = {}
 
     @cached_property
     def hands(self) -> tuple[Hand, ...]:
         """All grasps of the part; elsewhere they go by their numbers in this order."""
         return self.reach.hands(self.part, self.work)
 
-    @cached_property
+    @property
     def steepest_first(self) -> list[int]:
         """Numbers of the grasps, those from above first."""
         return self.reach.steepest_first(self.part, self.work)
@@ -85,20 +85,22 @@ class Situation:
 
     def straight_leg(self, number: int, attempts: int, spacing: float) -> Array:
         """Rows (M, n) of a tool-straight path to the goal with a grasp that has branches; (0, n) if there is none."""
-        if number not in self._straight_legs:
+        key = number, attempts, spacing
+        if key not in self._straight_legs:
             near = self.goals.neighbours(self.branches(number), self.work)
             hand = self.hands[number]
             starts, ends = self.goals.free_pairs(near, self.part, hand, self.others, attempts, self.work)
-            self._straight_legs[number] = one_leg(self.scene(number), starts, ends, spacing)
-        return self._straight_legs[number]
+            self._straight_legs[key] = one_leg(self.scene(number), starts, ends, spacing)
+        return self._straight_legs[key]
 
     def free_goals(self, number: int, most: int) -> Array:
         """The free goal configurations (B, n) nearest to where the lifts with a grasp end."""
-        if number not in self._free_goals:
+        key = number, most
+        if key not in self._free_goals:
             near = self.goals.neighbours(self.branches(number), self.work)
             hand = self.hands[number]
-            self._free_goals[number] = self.goals.free(near, self.part, hand, self.others, most, self.work)
-        return self._free_goals[number]
+            self._free_goals[key] = self.goals.free(near, self.part, hand, self.others, most, self.work)
+        return self._free_goals[key]
 
     def tool_length(self, rows: Array) -> float:
         """Length, m, of the tool path (Eq. 2) of joint rows (M, n)."""
