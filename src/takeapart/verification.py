@@ -71,7 +71,7 @@ def verify_plan(
     options: VerificationOptions | None = None,
     *,
     hashes: Mapping[str, str] | None = None,
-    physics: bool = False,
+    physics: bool = True,
 ) -> VerificationReport:
     """Checks one plan; see `Verifier`, which also raises what this raises."""
     return Verifier(assembly, workcell, options, hashes=hashes).verify(plan, physics=physics)
@@ -118,11 +118,11 @@ class Verifier:
         """State -> what happened to it under gravity, for the states that were tried."""
         return self._standing
 
-    def verify(self, plan: Plan, physics: bool = False) -> VerificationReport:
+    def verify(self, plan: Plan, physics: bool = True) -> VerificationReport:
         """Checks a plan from the first step to the last; a plan for assembly is inverted first.
 
         Args:
-            physics: also let every intermediate assembly stand under gravity.
+            physics: let every intermediate assembly stand under gravity too.
         """
         started = time.perf_counter()
         assembly, workcell, options = self.assembly, self.workcell, self.options

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ HELD_BITS = (4, 0)
 FINGER_BITS = (8, 1)
 ABSENT_BITS = (0, 0)
 
+OVERLAP_SAMPLES = 200  # configurations in which links must overlap to count as links that always do
+
 
 def robot_specification(description: RobotDescription) -> mujoco.MjSpec:
     """Editable model of the robot from its URDF: collision geometry only, every link kept as a body."""
@@ -49,10 +51,35 @@ def robot_specification(description: RobotDescription) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_string(text.replace("</robot>", f"<mujoco>{compiler}</mujoco></robot>"))
 
 
-def disabled_pairs(description: RobotDescription) -> list[tuple[str, str]]:
-    """Pairs of links that the robot's SRDF excludes from collision checks."""
-    root = ElementTree.fromstring(description.path(description.srdf).read_text(encoding="utf-8"))
-    return [(pair.attrib["link1"], pair.attrib["link2"]) for pair in root.iter("disable_collisions")]
+@lru_cache(maxsize=8)
+def unchecked_pairs(description: RobotDescription) -> tuple[tuple[str, str], ...]:
+    """Pairs of the robot's links that may touch: the next link in the chain, links without geometry skipped, and links
+    that overlap in each of many configurations drawn here. No file is believed about it.
+    """
+    model = robot_specification(description).compile()
+    data = mujoco.MjData(model)
+    geoms = {
+        b: range(a, a + n) for b, (a, n) in enumerate(zip(model.body_geomadr, model.body_geomnum, strict=True)) if n
+    }
+    links = [body for body in geoms if body]
+
+    def before(body: int) -> int:
+        parent = int(model.body_parentid[body])
+        return parent if parent in geoms or not parent else before(parent)
+
+    pairs = list(itertools.combinations(links, 2))
+    found = [pair for pair in pairs if before(pair[1]) == pair[0] or before(pair[0]) == pair[1]]
+    doubtful = [pair for pair in pairs if pair not in found]
+    rng = np.random.default_rng(0)
+    for _ in range(OVERLAP_SAMPLES):
+        data.qpos[model.jnt_qposadr] = rng.uniform(model.jnt_range[:, 0], model.jnt_range[:, 1])
+        mujoco.mj_kinematics(model, data)
+        doubtful = [
+            (a, b)
+            for a, b in doubtful
+            if any(mujoco.mj_geomDistance(model, data, x, y, 1.0, None) < 0 for x in geoms[a] for y in geoms[b])
+        ]
+    return tuple((model.body(a).name, model.body(b).name) for a, b in [*found, *doubtful])
 
 
 def add_box(body: mujoco.MjsBody, box: OrientedBox, bits: tuple[int, int], margin: float = 0.0) -> mujoco.MjsGeom:
@@ -108,7 +135,7 @@ class Scene:
 
     def _compile(self) -> mujoco.MjModel:
         specification = robot_specification(self.description)
-        # By default MuJoCo never tests a body against its parent; here only the robot's SRDF decides.
+        # By default MuJoCo never tests a body against its parent; here `unchecked_pairs` decides.
         specification.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
         place_body(specification.body(self.description.base_link), self.workcell.T_world_base)
         for body in specification.bodies:
@@ -116,7 +143,7 @@ class Scene:
                 is_box = geom.type == mujoco.mjtGeom.mjGEOM_BOX
                 geom.contype, geom.conaffinity = FINGER_BITS if is_box else ROBOT_BITS
                 geom.margin = self.sight
-        for first, second in disabled_pairs(self.description):
+        for first, second in unchecked_pairs(self.description):
             specification.add_exclude(bodyname1=first, bodyname2=second)
         hand = specification.body(self.description.hand_links[0])
         for i, part in enumerate(self.assembly.parts):

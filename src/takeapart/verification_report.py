@@ -30,6 +30,16 @@ CheckName = Literal[
 ]
 
 
+NOT_CHECKED = (  # what a plan states that no replay can confirm
+    "sequence bound (relative to the paths the planner found)",
+    "counts of planner calls",
+    "seconds",
+    "seed",
+    "search and its history",
+    "versions",
+)
+
+
 @dataclass(frozen=True)
 class VerificationOptions:
     """Bounds of every check. Lengths in m, angles in rad; defaults are the project's definition of a trusted plan.
@@ -158,6 +168,11 @@ class VerificationReport:
     options: VerificationOptions = field(default_factory=VerificationOptions)
 
     @property
+    def not_checked(self) -> tuple[str, ...]:
+        """What the plan states and this report says nothing about."""
+        return NOT_CHECKED if self.states else (*NOT_CHECKED, "whether the parts stand under gravity")
+
+    @property
     def passed(self) -> bool:
         """True if the plan has no findings."""
         return not self.findings
@@ -176,4 +191,4 @@ def format_finding(finding: Finding) -> str:
 
 def report_as_dict(report: VerificationReport) -> dict[str, object]:
     """The report as plain data for JSON."""
-    return {"passed": report.passed, **asdict(report)}
+    return {"passed": report.passed, **asdict(report), "not_checked": list(report.not_checked)}

@@ -22,7 +22,7 @@ class RobotDescription:
     Args:
         package: Python distribution module whose install folder holds the files.
         folder: folder of the package's shared files, relative to the site folder.
-        urdf, srdf: file names relative to `folder`.
+        urdf: file name relative to `folder`.
         base_link: fixed to the world at the workcell's base pose.
         flange_link: target frame of the inverse kinematics.
         arm_joints: in the order of a configuration.
@@ -38,7 +38,6 @@ class RobotDescription:
     name: str
     folder: str
     urdf: str
-    srdf: str
     base_link: str
     flange_link: str
     arm_joints: tuple[str, ...]
@@ -74,7 +73,6 @@ ROBOTS = {
         name="panda",
         folder="cmeel.prefix/share/example-robot-data",
         urdf="robots/panda_description/urdf/panda.urdf",
-        srdf="robots/panda_description/srdf/panda.srdf",
         base_link="panda_link0",
         flange_link="panda_link8",
         arm_joints=tuple(f"panda_joint{i}" for i in range(1, 8)),

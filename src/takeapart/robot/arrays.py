@@ -16,10 +16,12 @@ Integers = NDArray[np.int32]
 Flags = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Counters = NDArray[np.uint64]  # without a sign, compiled loops need not look for negative indices and vectorise
+Distances = NDArray[np.uint16]
 RandomState = NDArray[np.uint64]  # (1,) state of a random generator
 
 
 FIELD_STEP = 0.002  # m, unit of the clearance field
+TABLE_UNIT = 1e-5  # m, unit of the tables of distances between near bodies
 
 
 class ArmArrays(NamedTuple):
@@ -39,7 +41,14 @@ class ArmArrays(NamedTuple):
     body_frame: Counters  # (B,) joint frame that the body moves with; 0 is the base
     body_center: Floats  # (B, 3) m, a ball around the whole body
     body_radius: Floats  # (B,) m
-    self_pairs: Integers  # (P, 2) bodies that may touch each other
+    self_pairs: Integers  # (P, 2) bodies that may touch each other, looked at by their spheres
+    near_joints: Integers  # (T, 2) joints between the two bodies of a near pair: a table over their angles tells all
+    near_lower: Floats  # (T, 2) rad, first node of the table
+    near_step: Floats  # (T, 2) rad, from node to node
+    near_shape: Integers  # (T, 2) nodes
+    near_reach: Floats  # (T, 2) m, no point of the pair moves further for every radian that the joint turns
+    near_start: Indices  # (T,) where the table starts
+    near_distance: Distances  # (N,) all tables, row after row, in units of TABLE_UNIT
     held_bodies: Integers  # (Q,) bodies that what the gripper carries may touch
 
 
@@ -81,6 +90,8 @@ class WorldArrays(NamedTuple):
 class Workspace(NamedTuple):
     """Scratch memory of one thread."""
 
+    q: Floats  # (n,) rad, configuration placed last
+    turn: Floats  # (n,) rad, how far each joint turns in the motion that is looked at
     R: Floats  # (n + 1, 3, 3) link frames
     p: Floats  # (n + 1, 3)
     R_tool: Floats  # (3, 3)
@@ -106,6 +117,8 @@ def workspace(arm: ArmArrays, boxes: int) -> Workspace:
     """Scratch memory for an arm that carries at most `boxes` boxes."""
     n = len(arm.lower)
     return Workspace(
+        np.zeros(n),
+        np.zeros(n),
         np.zeros((n + 1, 3, 3)),
         np.zeros((n + 1, 3)),
         np.zeros((3, 3)),

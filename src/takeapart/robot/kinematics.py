@@ -119,6 +119,8 @@ def tool_steps(arm: ArmArrays, rows: Floats, work: Workspace, steps: Floats) -> 
 @compiled_lean
 def place(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace) -> None:
     """Everything that the collision tests need of a configuration (n,), rad; written to the workspace."""
+    for k in range(len(q)):
+        work.q[k] = q[k]
     forward(arm, q, work)
     place_bodies(arm, work)
     place_groups(held, work)
@@ -218,6 +220,7 @@ def set_motion(arm: ArmArrays, held: HeldArrays, a: Floats, b: Floats, share: fl
         v[k, 2] = v[k - 1, 2] + wx * dy - wy * dx
         w[k, 0], w[k, 1], w[k, 2] = wx + dq * R[k, 0, 2], wy + dq * R[k, 1, 2], wz + dq * R[k, 2, 2]
         turn = abs(dq)
+        work.turn[k - 1] = turn
         work.second[k] = work.second[k - 1] + 0.5 * work.rho[k - 1] * turn * (turn + 2.0 * before)
         before += turn
     largest = 0.0
@@ -260,6 +263,8 @@ def set_still(work: Workspace) -> None:
     for b in range(len(work.margin)):
         work.margin[b] = 0.0
     work.group_margin[0] = work.group_margin[1] = 0.0
+    for k in range(len(work.turn)):
+        work.turn[k] = 0.0
     for k in range(len(work.second)):
         work.second[k] = 0.0
         for i in range(3):

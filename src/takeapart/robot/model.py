@@ -20,6 +20,7 @@ from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
 from takeapart.robot.cover import SphereCover, sphere_cover
 from takeapart.robot.hand import move_load
 from takeapart.robot.kinematics import forward
+from takeapart.robot.self_collision import BodyPair, ConvexBody, body_pairs
 from takeapart.workcell import RobotDescription, Workcell
 
 BASE_INFLATION, ARM_INFLATION, WRIST_INFLATION, HAND_INFLATION = 0.03, 0.025, 0.02, 0.015  # m
@@ -36,6 +37,8 @@ class RobotModel:
         fingers: (finger link, box in the hand's frame at opening 0, direction (3,) in which it opens).
         T_flange_tool: (4, 4).
         inflation: per covered link, how far its spheres reach beyond its mesh, m.
+        bodies: names of the covered links, in the order of the arrays.
+        pairs: how each pair of them is checked for meeting the other.
     """
 
     description: RobotDescription
@@ -43,6 +46,8 @@ class RobotModel:
     fingers: tuple[tuple[str, OrientedBox, Array], ...]
     T_flange_tool: Array
     inflation: Mapping[str, float]
+    bodies: tuple[str, ...]
+    pairs: tuple[BodyPair, ...]
 
     @property
     def joints(self) -> int:
@@ -186,19 +191,18 @@ def load_robot(workcell: Workcell) -> RobotModel:
         for c, k in zip(centers, covers, strict=True)
     ]
     radii = np.concatenate([c.radii for c in covers])
-    allowed = _disabled_pairs(description)
-    pairs = [
-        (a, b)
-        for a in range(len(bodies))
-        for b in range(a + 1, len(bodies))
-        if frames[b] - frames[a] > 1 and frozenset((bodies[a], bodies[b])) not in allowed
+    hulls = [
+        ConvexBody(_link_corners(urdf, link, description) @ T[:3, :3].T + T[:3, 3], frame, body <= n)
+        for body, (link, T, frame) in enumerate(zip(bodies, T_frame_body, frames, strict=True))
     ]
+    chain, lowest, highest = np.ascontiguousarray([T[:3] for T in T_joint]), np.array(lower), np.array(upper)
+    pairs, tables = body_pairs(hulls, chain, lowest, highest)
     arm = ArmArrays(
         T_world_base=np.ascontiguousarray(workcell.T_world_base[:3]),
-        T_joint=np.ascontiguousarray([T[:3] for T in T_joint]),
+        T_joint=chain,
         T_tool=np.ascontiguousarray((T_last_flange @ T_flange_hand @ T_hand_tool)[:3]),
-        lower=np.array(lower),
-        upper=np.array(upper),
+        lower=lowest,
+        upper=highest,
         sphere_center=(spheres := np.concatenate(centers)),
         sphere_x=spheres[:, 0].copy(),
         sphere_y=spheres[:, 1].copy(),
@@ -208,12 +212,21 @@ def load_robot(workcell: Workcell) -> RobotModel:
         body_frame=np.array(frames, dtype=np.uint64),
         body_center=np.array([center for center, _ in balls]),
         body_radius=np.array([radius for _, radius in balls]),
-        self_pairs=np.array(pairs, dtype=np.int32).reshape(-1, 2),
+        self_pairs=np.array(
+            [(pair.first, pair.second) for pair in pairs if pair.treatment == "spheres"], dtype=np.int32
+        ).reshape(-1, 2),
+        near_joints=np.array([table.joints for table in tables], dtype=np.int32).reshape(-1, 2),
+        near_lower=np.array([table.lower for table in tables]).reshape(-1, 2),
+        near_step=np.array([table.step for table in tables]).reshape(-1, 2),
+        near_shape=np.array([table.distances.shape for table in tables], dtype=np.int32).reshape(-1, 2),
+        near_reach=np.array([table.reach for table in tables]).reshape(-1, 2),
+        near_start=np.cumsum([0, *[table.distances.size for table in tables]], dtype=np.int64)[:-1],
+        near_distance=np.concatenate([np.zeros(0, np.uint16), *[table.distances.ravel() for table in tables]]),
         held_bodies=np.array([b for b in range(len(bodies)) if frames[b] < n], dtype=np.int32),
     )
     fingers = tuple(_finger_boxes(urdf, joints, description))
     inflation = {link: c.inflation for link, c in zip(bodies, covers, strict=True)}
-    return RobotModel(description, arm, fingers, T_flange_hand @ T_hand_tool, inflation)
+    return RobotModel(description, arm, fingers, T_flange_hand @ T_hand_tool, inflation, tuple(bodies), pairs)
 
 
 def _text(element: ElementTree.Element, child: str, attribute: str) -> str:
@@ -315,6 +328,22 @@ def _link_cover(urdf: ElementTree.Element, link: str, description: RobotDescript
     )
 
 
+def _link_corners(urdf: ElementTree.Element, link: str, description: RobotDescription) -> Array:
+    """Corners (V, 3), m, of the convex hull of a link's collision meshes, in the link's frame."""
+    corners = []
+    for element in _collision_elements(urdf, link):
+        T = _origin(element)
+        path = description.resolve(element.find("geometry/mesh").get("filename", ""))  # type: ignore[union-attr]
+        corners.append(_mesh_corners(str(path)) @ T[:3, :3].T + T[:3, 3])
+    together = np.concatenate(corners)
+    return together if len(corners) == 1 else np.asarray(trimesh.convex.convex_hull(together).vertices, dtype=float)
+
+
+@lru_cache(maxsize=64)
+def _mesh_corners(path: str) -> Array:
+    return np.asarray(trimesh.load_mesh(path).convex_hull.vertices, dtype=float)
+
+
 @lru_cache(maxsize=64)
 def _mesh_cover(path: str, digest: str, inflation: float) -> SphereCover:
     """Cover of the convex hull of a mesh file; computed once per file content and kept in the cache folder."""
@@ -359,9 +388,3 @@ def _finger_boxes(
                 bound = trimesh.load_mesh(description.resolve(mesh.get("filename", ""))).bounding_box_oriented.primitive
                 found.append((link, OrientedBox(T @ bound.transform, np.asarray(bound.extents) / 2), direction))
     return found
-
-
-def _disabled_pairs(description: RobotDescription) -> set[frozenset[str]]:
-    """Link pairs that the robot's SRDF says need no check: they touch always, or can never meet."""
-    root = ElementTree.parse(description.path(description.srdf)).getroot()
-    return {frozenset((e.get("link1", ""), e.get("link2", ""))) for e in root.iter("disable_collisions")}
