@@ -181,6 +181,26 @@ def test_shipped_workcell() -> None:
         ).all()
 
 
+@pytest.mark.parametrize(
+    ("key", "stated", "default"), [("payload", 1.5, 3.0), ("gripping_force", 30.0, 70.0), ("friction", 0.2, 0.5)]
+)
+def test_what_the_gripper_carries(tmp_path: Path, key: str, stated: float, default: float) -> None:
+    """A file may say it; otherwise the robot's description does, and saying the same is the same workcell."""
+    cells = {}
+    for name, line in {"silent": "", "stated": f"{key} = {stated}", "same": f"{key} = {default}"}.items():
+        (tmp_path / f"{name}.toml").write_text(
+            example_documents.WORKCELL.replace("[robot]", f"[robot]\n{line}"), encoding="utf-8"
+        )
+        cells[name] = load_workcell(tmp_path / f"{name}.toml")
+    assert [getattr(cells[name], key) for name in ("silent", "stated", "same")] == [default, stated, default]
+    assert workcell_hash(cells["silent"]) == workcell_hash(cells["same"]) != workcell_hash(cells["stated"])
+
+
+def test_grip_is_the_mass_that_friction_holds() -> None:
+    """Two fingers, each with 70 N and a coefficient of 0.5: 70 N of friction."""
+    assert load_workcell("panda").grip == pytest.approx(70 / 9.81)
+
+
 def test_workcell_by_path_equals_workcell_by_name() -> None:
     by_path = load_workcell(data_path("workcells/panda.toml"))
     assert workcell_hash(by_path) == workcell_hash(load_workcell("panda"))

@@ -187,6 +187,10 @@ def test_plan_errors(tmp_path: Path, path: Path_, value: object, message: str) -
         ("[0.0, -0.785398,", "[-0.785398,", "robot.home: must be 7 finite joint angles, rad"),
         ("lift_height = 0.05", "lift_height = nan", "lift_height: nan; must be a finite number"),
         ("lift_height = 0.05", "lift_height = 0", "lift_height: 0; must be above 0"),
+        ("[robot]", "[robot]\npayload = 0", "robot.payload: 0; must be above 0"),
+        ("[robot]", "[robot]\npayload = 10001", "robot.payload: 10001; must be at most 10000"),
+        ("[robot]", "[robot]\ngripping_force = inf", "robot.gripping_force: inf; must be a finite number"),
+        ("[robot]", "[robot]\nfriction = nan", "robot.friction: nan; must be a finite number"),
         ("clearance = 0.001", "clearance = 0.03", "clearance: 0.03; must be at most 0.02"),
         (
             "clearance = 0.001",

@@ -160,6 +160,9 @@ def _show_workcell(workcell: Workcell, as_json: bool) -> None:
                 "goal": workcell.goal.tolist(),
                 "lift_height": workcell.lift_height,
                 "clearance": workcell.clearance,
+                "payload": workcell.payload,
+                "gripping_force": workcell.gripping_force,
+                "friction": workcell.friction,
                 "environment": [
                     {"name": name, "size": size.tolist(), "position": position.tolist()}
                     for name, size, position in environment
@@ -173,6 +176,8 @@ def _show_workcell(workcell: Workcell, as_json: bool) -> None:
         ["goal", f"{_point(workcell.goal)} m"],
         ["lift height", f"{1000 * workcell.lift_height:.4g} mm"],
         ["clearance", f"{1000 * workcell.clearance:.4g} mm"],
+        ["payload", f"{workcell.payload:.4g} kg"],
+        ["gripping force", f"{workcell.gripping_force:.4g} N, friction {workcell.friction:.4g}"],
         *([name, f"{_point(size)} m at {_point(position)} m"] for name, size, position in environment),
     ]
     print_table(f"workcell {workcell.name}", ["", ""], rows)

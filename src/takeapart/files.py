@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
@@ -156,6 +157,9 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
             lift_height=model.lift_height,
             clearance=model.clearance,
             environment=tuple(Obstacle(obstacle.name, _box(obstacle)) for obstacle in model.environment),
+            payload=_stated(model.robot.payload),
+            gripping_force=_stated(model.robot.gripping_force),
+            friction=_stated(model.robot.friction),
         )
     except InputError as error:
         raise InputError(error.message, _inside(where, model.name, error)) from None
@@ -170,6 +174,11 @@ def _inside(where: str, name: str, error: InputError) -> str:
 def _nameable(name: str) -> str:
     """A name as a message can hold it; one that is shortened is no known name in any case."""
     return name if len(name) <= 100 else shortened(name)
+
+
+def _stated(value: float | None) -> float:
+    """A number as the data class takes it; not a number where the file leaves it to the robot's description."""
+    return math.nan if value is None else value
 
 
 def _triple(values: list[float]) -> tuple[float, float, float]:

@@ -216,11 +216,14 @@ class PlanModel(_Model):
 
 
 class RobotModel(_Model):
-    """Which robot, where it stands and how it rests."""
+    """Which robot, where it stands, how it rests and what it carries; what is left out is the robot's own."""
 
     model: Text
     base: PoseModel
     home: JointRow
+    payload: Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)] | None = None
+    gripping_force: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
+    friction: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] | None = None
 
 
 class ObstacleModel(BoxModel):

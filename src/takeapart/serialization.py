@@ -44,6 +44,9 @@ def workcell_hash(workcell: Workcell) -> str:
                 "model": workcell.robot,
                 "base": _pose_document(workcell.T_world_base),
                 "home": _numbers(workcell.home),
+                "payload": _number(workcell.payload),
+                "gripping_force": _number(workcell.gripping_force),
+                "friction": _number(workcell.friction),
             },
             "environment": [{"name": o.name, **_box_document(o.box)} for o in workcell.environment],
         }

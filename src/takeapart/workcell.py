@@ -6,6 +6,7 @@ The world frame is the assembly's frame: a workcell says where its arm stands re
 from __future__ import annotations
 
 import importlib.util
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,9 @@ import numpy as np
 
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.geometry import Array, OrientedBox
+
+GRAVITY = 9.81  # m/s^2
+GRIPPER_LIMITS = (("payload", " kg", 1e4), ("gripping_force", " N", 1e6), ("friction", "", 10.0))  # name, unit, most
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,9 @@ class RobotDescription:
         T_hand_tool: (x, y, z) m of the point between the fingertips in the first hand link's frame; the tool frame has
             this frame's axes: z is the approach direction, y the closing direction of the fingers.
         maximum_opening: between the fingers, m.
+        payload: what the gripper may carry, kg.
+        gripping_force: with which each finger presses on the part, N.
+        friction: coefficient between a finger's pad and the part.
         ik_module: module of the inverse kinematics library.
     """
 
@@ -46,6 +53,9 @@ class RobotDescription:
     finger_joints: tuple[str, ...]
     T_hand_tool: tuple[float, float, float]
     maximum_opening: float
+    payload: float
+    gripping_force: float
+    friction: float
     ik_module: str
 
     def path(self, relative: str) -> Path:
@@ -81,6 +91,9 @@ ROBOTS = {
         finger_joints=("panda_finger_joint1", "panda_finger_joint2"),
         T_hand_tool=(0.0, 0.0, 0.1034),
         maximum_opening=0.08,
+        payload=3.0,  # Franka Emika, Panda datasheet (2020): payload 3 kg, grasping force continuous 70 N
+        gripping_force=70.0,
+        friction=0.5,  # rubber on dry aluminium is above it
         ik_module="ssik.prebuilt.franka_panda_ik",
     )
 }
@@ -118,6 +131,10 @@ class Workcell:
         lift_height: every removal starts with this much straight up, m.
         clearance: distance that the planner keeps between everything that must not touch, m.
         environment: obstacles, for example table and pedestal. The robot's base link may touch them.
+        payload: what the gripper may carry, kg.
+        gripping_force: with which each finger presses on the part, N.
+        friction: coefficient between a finger's pad and the part. What is not a number here is taken from the robot's
+            description.
 
     Raises:
         InputError: a number out of range; the message says which and what is valid.
@@ -132,6 +149,9 @@ class Workcell:
     lift_height: float = 0.05
     clearance: float = 0.001
     environment: tuple[Obstacle, ...] = ()
+    payload: float = math.nan
+    gripping_force: float = math.nan
+    friction: float = math.nan
 
     def __post_init__(self) -> None:
         description = robot_description(self.robot, f"{self.name}: robot.model")
@@ -145,6 +165,17 @@ class Workcell:
             raise InputError(f"{self.lift_height} m; must be above 0 and at most 1", f"{self.name}: lift_height")
         if not 0 <= self.clearance <= 0.02:
             raise InputError(f"{self.clearance} m; must be from 0 to 0.02", f"{self.name}: clearance")
+        for name, unit, most in GRIPPER_LIMITS:
+            if math.isnan(getattr(self, name)):
+                object.__setattr__(self, name, getattr(description, name))
+            value = getattr(self, name)
+            if not 0 < value <= most:
+                raise InputError(f"{value}{unit}; must be above 0 and at most {most:g}", f"{self.name}: robot.{name}")
+
+    @property
+    def grip(self) -> float:
+        """Mass that two fingers hold by friction alone, kg: 2 * friction * force / g."""
+        return 2 * self.friction * self.gripping_force / GRAVITY
 
     @property
     def description(self) -> RobotDescription:
