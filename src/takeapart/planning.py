@@ -19,6 +19,7 @@ from takeapart.assembly import Assembly
 from takeapart.errors import UnknownNameError
 from takeapart.plan import Plan, PlanStep
 from takeapart.problem import AssemblyProblem, Guide, Problem
+from takeapart.removal.grasps import ungraspable
 from takeapart.removal.journal import QueryJournal
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Removal, Stage
@@ -96,11 +97,13 @@ class Hindrance:
         part: its name.
         stage: where planning its removal ended.
         blamed: names of the parts in the way; empty where only fixed parts, environment or reach are.
+        numbers: what exceeds what, where numbers say it: weight and payload, width and opening.
     """
 
     part: str
     stage: Stage
     blamed: tuple[str, ...]
+    numbers: str = ""
 
     def __str__(self) -> str:
         reasons = {
@@ -110,8 +113,9 @@ class Hindrance:
             "ik": "the arm cannot reach it without a collision",
             "path": "no path to the goal was found",
         }
+        reason = f"cannot be grasped: {self.numbers}" if self.numbers else reasons[self.stage]
         by = f", blocked by {', '.join(self.blamed)}" if self.blamed else ""
-        return f"{self.part}: {reasons[self.stage]} (stage {self.stage}{by})"
+        return f"{self.part}: {reason} (stage {self.stage}{by})"
 
 
 @dataclass(frozen=True)
@@ -346,7 +350,9 @@ def explain(problem: AssemblyProblem, state: int, refusals: tuple[Blocked, ...] 
         blocked = problem.hindrance(state, part) or answers.get(part)
         if blocked is not None:
             names = tuple(assembly.names(blocked.blamed & ~(1 << part)))
-            found.append(Hindrance(assembly.parts[part].name, blocked.stage, names))
+            body = assembly.parts[part]
+            numbers = ungraspable(body, problem.planner.workcell) if blocked.stage == "grasp" else ""
+            found.append(Hindrance(body.name, blocked.stage, names, numbers))
     return tuple(found)
 
 

@@ -59,7 +59,7 @@ def _free(value: dict[str, object]) -> dict[str, object]:
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
-Edge = Annotated[float, Field(gt=0, le=100, allow_inf_nan=False)]
+Edge = Annotated[float, Field(ge=1e-4, le=100, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 Position = Annotated[list[Coordinate], Field(min_length=3, max_length=3, fail_fast=True)]

@@ -5,15 +5,19 @@ Fixed parts stand in no state, and therefore in no mask here: what they carry is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from takeapart.assembly import Assembly, Connector, members
 from takeapart.errors import InputError
+from takeapart.geometry import Array, OrientedBox, box_separation
 
 STEEPEST_IN_PLANE = np.cos(np.pi / 4)  # |cosine| to the vertical above which a bar counts as being along z
 SAME_LENGTH = 1e-9  # m; edges closer than this are equally long
+TOUCHING = 1e-3 + 1e-6  # m; a connector that is further from its host or guest does not hold it (and rounding)
+DIRECTIONS = 720  # in which a centre of mass is compared with what it rests on
 
 
 class Stability(Protocol):
@@ -82,11 +86,13 @@ def unsupported(assembly: Assembly) -> tuple[str, ...]:
 
 
 def require_support(assembly: Assembly) -> None:
-    """Refuses an assembly with floating parts.
+    """Refuses an assembly with connectors that hold nothing, and with parts that float or would tip over.
 
     Raises:
-        InputError: names the first part that nothing carries, and what would carry it.
+        InputError: names the first connector or part, what is wrong and by how much.
     """
+    for i, connector in enumerate(assembly.connectors):
+        _require_contact(assembly, connector, f"{assembly.name}: connectors[{i}] ({connector.name})")
     floating = unsupported(assembly)
     if floating:
         rest = f" (and {len(floating) - 1} more)" if len(floating) > 1 else ""
@@ -95,6 +101,80 @@ def require_support(assembly: Assembly) -> None:
             "or must lie on a bar along z that its own connector holds, or be fixed",
             f"{assembly.name}: parts",
         )
+    for i in members(assembly.root):
+        beyond = _beyond_support(assembly, i)
+        if beyond > TOUCHING:
+            raise InputError(
+                f"part {assembly.parts[i].name!r} would tip: its centre of mass lies {1e3 * beyond:.1f} mm beyond what "
+                "carries it; it must be carried on both sides of it",
+                f"{assembly.name}: parts",
+            )
+
+
+def _require_contact(assembly: Assembly, connector: Connector, where: str) -> None:
+    host, guest = (assembly.parts[assembly.index[name]] for name in (connector.host, connector.guest))
+    walls = [wall.moved(host.T_world_part) for wall in connector.walls]
+    for role, part in (("host", host), ("guest", guest)):
+        gap = _gap(walls, [box.moved(part.T_world_part) for box in part.shape.boxes()])
+        if gap > TOUCHING:
+            raise InputError(
+                f"is {1e3 * gap:.1f} mm from its {role} {part.name!r}; it must touch it, within 1 mm", where
+            )
+    if connector.kind == "U":
+        low, high = _extents([box.moved(guest.T_world_part) for box in guest.shape.boxes()])
+        floors = [_extents([wall]) for wall in walls]
+        if not any(
+            abs(top[2] - low[2]) <= TOUCHING and (bottom[:2] < high[:2]).all() and (top[:2] > low[:2]).all()
+            for bottom, top in floors
+        ):
+            raise InputError(
+                f"a U carries its guest on a floor, and no wall is right below {guest.name!r}, within 1 mm", where
+            )
+
+
+def _gap(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> float:
+    """Least separation of the boxes of two bodies, m; at most 0 where they touch."""
+    pairs = [(a, b) for a in first for b in second]
+    T_a, T_b = (np.array([pair[k].T_frame_box for pair in pairs]) for k in (0, 1))
+    half_a, half_b = (np.array([pair[k].half_extents for pair in pairs]) for k in (0, 1))
+    separation = box_separation(T_a, half_a, T_b, half_b)
+    return float(separation.min())
+
+
+def _extents(boxes: Sequence[OrientedBox]) -> tuple[Array, Array]:
+    """Least and greatest coordinates (3,), m, of boxes."""
+    corners = np.concatenate([box.corners() for box in boxes])
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _beyond_support(assembly: Assembly, i: int) -> float:
+    """How far, m, the centre of mass of part i lies outside the hull of the areas that carry it, seen from above.
+
+    An area is where the extents of a connector, or of the bar along z that it holds, and those of the part overlap.
+    Not more than 0 where it is inside.
+    """
+    part = assembly.parts[i]
+    own = [box.moved(part.T_world_part) for box in part.shape.boxes()]
+    low, high = _extents(own)
+    carriers = _carriers(assembly, i)
+    corners: list[Array] = []
+    for connector in assembly.connectors:
+        if connector.guest == part.name and connector.host in carriers:
+            if _along_z(assembly, i) and _above_centre(assembly, connector):
+                continue
+        elif carriers or connector.host != part.name or not _above_centre(assembly, connector):
+            continue
+        T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part
+        least, most = _extents([wall.moved(T_world_host) for wall in connector.walls])
+        least, most = np.maximum(least, low), np.minimum(most, high)
+        if connector.host == part.name:  # the part lies on the bar that its own connector holds
+            guest = assembly.parts[assembly.index[connector.guest]]
+            least, most = _extents([box.moved(guest.T_world_part) for box in guest.shape.boxes()])
+        corners += [np.array([x, y]) for x in (least[0], most[0]) for y in (least[1], most[1])]
+    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    middle = (part.T_world_part @ part.shape.bounding_box().T_frame_box)[:2, 3]
+    return float((directions @ middle - (directions @ np.array(corners).T).max(axis=1)).max())
 
 
 def _rests(assembly: Assembly, i: int, carried: set[str]) -> bool:

@@ -23,6 +23,7 @@ from takeapart.verification_checks import (
     check_heading,
     check_length,
     check_order,
+    check_payload,
     check_schema,
     check_stability,
     check_total,
@@ -144,6 +145,7 @@ class Verifier:
                 if not broken:
                     opening = workcell.description.maximum_opening
                     findings += check_grasp(step, k, assembly.parts[number], opening, options)
+                    findings += check_payload(step, k, assembly.parts[number], workcell)
                     results.append(self._step(step, k, state))
                     findings += results[-1].findings
                 state &= ~(1 << number)

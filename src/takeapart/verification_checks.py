@@ -20,6 +20,7 @@ from takeapart.workcell import Workcell
 
 ORIGINS = ("assembly", "workcell")
 DIRECTIONS = ("disassembly", "assembly")
+STANDARD_GRAVITY = 9.80665  # m/s^2
 NOTHING_BELOW = "anything to rest on"
 
 
@@ -128,6 +129,19 @@ def check_grasp(
     if off_centre > options.width_tolerance:
         message = f"the grasp centre is not midway between the two faces of {part.name!r}"
         findings.append(Finding(k, step.part, 0.0, "grasp", message, off_centre))
+    return findings
+
+
+def check_payload(step: PlanStep, k: int, part: Part, workcell: Workcell) -> list[Finding]:
+    """The arm may carry the part, and friction of both fingers holds its weight."""
+    findings = []
+    if part.mass > workcell.payload:
+        message = f"{part.name!r} weighs {part.mass:.4g} kg; the payload is {workcell.payload:.4g} kg"
+        findings.append(Finding(k, step.part, 0.0, "payload", message))
+    weight, held = part.mass * STANDARD_GRAVITY, 2 * workcell.friction * workcell.gripping_force  # N
+    if weight > held:
+        message = f"{part.name!r} slips: its weight is {weight:.4g} N, friction of the fingers holds {held:.4g} N"
+        findings.append(Finding(k, step.part, 0.0, "payload", message))
     return findings
 
 

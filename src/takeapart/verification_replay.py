@@ -56,9 +56,31 @@ class Replay:
     def check_placement(self) -> list[Finding]:
         """Arm, assembly and environment do not stand in each other before anything moves."""
         return [
-            Finding(None, "", None, "collision", f"{first} stands in {second}", depth)
-            for first, second, depth in self.scene.misplaced(self.options.penetration)
+            *(
+                Finding(None, "", None, "collision", f"{first} stands in {second}", depth)
+                for first, second, depth in self.scene.misplaced(self.options.penetration)
+            ),
+            *self._check_home(),
         ]
+
+    def _check_home(self) -> list[Finding]:
+        """The arm at rest is within its limits and in nothing; its base may stand on what is there."""
+        scene, home = self.scene, self.workcell.home
+        findings = []
+        for joint, (low, high) in enumerate(scene.joint_limits):
+            if not low - 1e-9 <= home[joint] <= high + 1e-9:
+                message = f"joint {joint + 1} rests at {home[joint]:.4g} rad; {low:.4g} to {high:.4g} is valid"
+                findings.append(Finding(None, "", None, "home", message))
+        scene.show(self.assembly.root, None)
+        scene.place(home)
+        seen = set()
+        for a, b in self._pairs():
+            names = (scene.label(a), scene.label(b))
+            depth = -scene.distance(a, b)
+            if depth > self.options.penetration and scene.description.base_link not in names and names not in seen:
+                seen.add(names)
+                findings.append(Finding(None, "", None, "home", f"at rest {names[0]} is in {names[1]}", depth))
+        return findings
 
     def step(self, step: PlanStep, k: int, state: int) -> StepResult:
         """All checks of one step's motion, in the state before the part leaves."""

@@ -15,6 +15,8 @@ CheckName = Literal[
     "grasp",
     "width",
     "finger_contact",
+    "payload",
+    "home",
     "start_pose",
     "lift",
     "joint_limit",
@@ -77,7 +79,7 @@ class VerificationOptions:
     lift_angle_tolerance: float = math.radians(0.05)
     penetration: float = 1e-4
     touching: float = 1e-3
-    width_tolerance: float = 2e-4
+    width_tolerance: float = 1e-5
     square_tolerance: float = math.radians(0.5)
     finger_gap: float = 5e-4
     joint_jump: float = 0.1

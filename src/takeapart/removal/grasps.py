@@ -13,6 +13,7 @@ import numpy as np
 
 from takeapart.assembly import Part
 from takeapart.geometry import Array
+from takeapart.workcell import Workcell
 
 SPACING = 0.02  # m, between grasps along the part
 END_MARGIN = 0.03  # m, from the part's ends
@@ -59,6 +60,22 @@ def grasp_candidates(part: Part, maximum_opening: float) -> list[GraspCandidate]
     T[..., 3, 3] = 1.0
     poses = (box.T_frame_box @ T).reshape(-1, 4, 4)
     return [GraspCandidate(pose, width) for pose, width in zip(poses, widths * len(distances), strict=True)]
+
+
+def ungraspable(part: Part, workcell: Workcell) -> str:
+    """Why the gripper cannot hold a part, whatever stands around it; empty where it can."""
+    if part.mass > workcell.payload:
+        return f"weighs {part.mass:.4g} kg; the payload is {workcell.payload:.4g} kg"
+    if part.mass > workcell.grip:
+        return (
+            f"weighs {part.mass:.4g} kg; fingers that press with {workcell.gripping_force:.4g} N hold "
+            f"{workcell.grip:.3g} kg by friction"
+        )
+    opening = workcell.description.maximum_opening
+    if not grasp_candidates(part, opening):
+        widths = sorted(2e3 * part.shape.bounding_box().half_extents)[:2]
+        return f"is {widths[0]:.4g} mm by {widths[1]:.4g} mm wide; the fingers open {1e3 * opening:.4g} mm"
+    return ""
 
 
 @cache

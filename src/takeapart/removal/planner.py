@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from takeapart.assembly import Assembly
+from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
@@ -67,6 +68,7 @@ class RemovalPlanner:
         self.assembly, self.workcell, self.options = assembly, workcell, options
         self._patient = replace(options, tree_iterations=LARGER_TREES * options.tree_iterations)
         self.robot = robot or load_robot(workcell)
+        _require_home(workcell, self.robot)
         self.counts = Counts()
         self._parts = len(assembly.parts)
         # Whatever passes a check keeps the workcell's clearance between two checks too.
@@ -241,6 +243,17 @@ class RemovalPlanner:
             if hand.line is not None:
                 common &= hand.line
         return common or situation.others
+
+
+def _require_home(workcell: Workcell, robot: RobotModel) -> None:
+    for joint, angle, low, high in zip(
+        workcell.description.arm_joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
+    ):
+        if not low <= angle <= high:
+            raise InputError(
+                f"joint {joint!r} stands at {angle:.4g} rad; {low:.4g} to {high:.4g} is valid",
+                f"{workcell.name}: robot.home",
+            )
 
 
 def _fewest(masks: Sequence[int]) -> int:

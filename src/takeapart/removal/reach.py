@@ -17,7 +17,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
-from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bounds
+from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bounds, ungraspable
 from takeapart.removal.masks import flags_of, states_of
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.hand import hand_masks
@@ -131,7 +131,7 @@ class Reach:
         """Grasps of a part, those with the shortest straight-line bound first."""
         if part not in self._candidates:
             body, cell = self._assembly.parts[part], self._workcell
-            found = grasp_candidates(body, cell.description.maximum_opening)
+            found = [] if ungraspable(body, cell) else grasp_candidates(body, cell.description.maximum_opening)
             bounds = straight_line_bounds(body, found, cell.lift_height, cell.goal)
             self._candidates[part] = tuple(found[k] for k in np.argsort(bounds, kind="stable"))
         return self._candidates[part]

@@ -1,0 +1,151 @@
+"""What carries a part holds it, and what the gripper takes it can carry: refused by the planner, and by the judge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from takeapart.assembly import Assembly, Connector, Part
+from takeapart.errors import InputError
+from takeapart.files import data_path, load_assembly
+from takeapart.geometry import Box, OrientedBox, pose
+from takeapart.planning import Infeasible, PlanningOptions, plan
+from takeapart.removal.grasps import ungraspable
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.schemas import AssemblyModel, validated
+from takeapart.serialization import assembly_document
+from takeapart.stability import require_support, unsupported
+from takeapart.verification_checks import check_payload
+from takeapart.verification_replay import Replay
+from takeapart.verification_report import VerificationOptions
+from takeapart.workcell import Obstacle, Workcell
+from verification_scene import scene_assembly, scene_plan, scene_workcell
+
+LOW, BAR = 0.01, 0.02  # m, half the base's height; thickness of the bar
+
+
+def box(x: float, y: float, z: float, size: tuple[float, float, float]) -> OrientedBox:
+    return OrientedBox(pose((x, y, z)), np.array(size) / 2)
+
+
+def shelf(*walls: tuple[OrientedBox, ...], height: float = 0.0, mass: float = 0.1) -> Assembly:
+    """A base of 0.4 m, and a bar of the same length over it; each tuple of walls is a U on the base."""
+    base = Part("base", Box((0.4, 0.06, 2 * LOW)), pose(), 1.0, fixed=True)
+    bar = Part("bar", Box((0.4, BAR, BAR)), pose((0, 0, LOW + 0.002 + BAR / 2 + height)), mass)
+    connectors = tuple(Connector(f"u{i}", "U", "base", "bar", found) for i, found in enumerate(walls))
+    return Assembly("shelf", (base, bar), connectors)
+
+
+def u_at(x: float, floor: bool = True) -> tuple[OrientedBox, ...]:
+    """A U of 2 cm on the base, its floor 2 mm thick right below the bar."""
+    sides = tuple(box(x, side * 0.0115, LOW + 0.01, (0.02, 0.002, 0.02)) for side in (-1, 1))
+    return (*sides, box(x, 0, LOW + 0.001, (0.02, 0.025, 0.002))) if floor else sides
+
+
+def test_a_bar_in_two_us_stands_and_in_one_it_tips() -> None:
+    require_support(shelf(u_at(-0.15), u_at(0.15)))
+    require_support(shelf(u_at(0.0)))
+    with pytest.raises(InputError, match=r"part 'bar' would tip: its centre of mass lies 140\.0 mm beyond"):
+        require_support(shelf(u_at(-0.15)))
+    with pytest.raises(InputError, match=r"lies 90\.0 mm beyond"):
+        require_support(shelf(u_at(-0.15), u_at(-0.1)))
+    assert unsupported(shelf(u_at(-0.15))) == ()  # it has a holder, which alone was asked before
+
+
+def test_a_holder_touches_what_it_holds_and_what_it_stands_on() -> None:
+    far = (box(0.3, 0.2, 0.0, (0.01, 0.01, 0.01)),)
+    with pytest.raises(InputError, match=r"connectors\[0\] \(u0\): is 165\.\d mm from its host 'base'; .* within 1 mm"):
+        require_support(shelf(far, height=0.28))
+    with pytest.raises(InputError, match=r"is 280\.0 mm from its guest 'bar'"):
+        require_support(shelf((u_at(0.0)[2],), height=0.28))
+    require_support(shelf(u_at(0.0), height=0.0009))
+    with pytest.raises(InputError, match=r"no wall is right below 'bar'"):
+        require_support(shelf(u_at(0.0, floor=False)))
+    with pytest.raises(InputError, match=r"no wall is right below 'bar'"):
+        require_support(shelf(u_at(0.0), height=0.0019))
+
+
+def test_shipped_assemblies_are_carried() -> None:
+    for folder, count in (("single", 14), ("double", 7)):
+        for number in range(1, count + 1):
+            require_support(load_assembly(data_path(f"{folder}/{number:02}.json")))
+
+
+def heavy(name: str, mass: float) -> Assembly:
+    found = load_assembly(data_path("examples/rack.json"))
+    return replace(found, parts=tuple(replace(p, mass=mass) if p.name == name else p for p in found.parts))
+
+
+@pytest.fixture(scope="module")
+def removable() -> str:
+    return next(part.name for part in load_assembly(data_path("examples/rack.json")).parts if not part.fixed)
+
+
+def test_a_part_beyond_the_payload_is_refused_with_both_weights(removable: str, workcell: Workcell) -> None:
+    made = plan(heavy(removable, 25.0), workcell, PlanningOptions(search="greedy"))
+    assert isinstance(made, Infeasible)
+    refused = {hindrance.part: hindrance for hindrance in made.hindrances}[removable]
+    assert refused.stage == "grasp"
+    assert str(refused).startswith(f"{removable}: cannot be grasped: weighs 25 kg; the payload is 3 kg (stage grasp")
+
+
+@pytest.mark.parametrize(
+    ("mass", "changes", "message"),
+    [
+        (2.99, {}, ""),
+        (3.0, {}, ""),
+        (3.01, {}, "weighs 3.01 kg; the payload is 3 kg"),
+        (1.0, {"gripping_force": 9.9}, ""),  # 2 * 0.5 * 9.9 N = 9.9 N hold 9.81 N
+        (1.0, {"gripping_force": 9.7}, "weighs 1 kg; fingers that press with 9.7 N hold 0.989 kg by friction"),
+        (1.0, {"friction": 0.01}, "weighs 1 kg; fingers that press with 70 N hold 0.143 kg by friction"),
+    ],
+)
+def test_weight_against_payload_and_friction(
+    workcell: Workcell, mass: float, changes: dict[str, float], message: str
+) -> None:
+    part, cell = Part("bar", Box((0.2, 0.02, 0.02)), pose(), mass), replace(workcell, **changes)  # type: ignore[arg-type]
+    assert ungraspable(part, cell) == message
+    judged = check_payload(scene_plan().steps[0], 0, part, cell)
+    assert bool(judged) == bool(message)
+    assert all(finding.check == "payload" for finding in judged)
+
+
+def test_a_part_wider_than_the_fingers_open_is_refused_with_its_sizes(workcell: Workcell) -> None:
+    part = Part("block", Box((0.3, 0.081, 0.09)), pose(), 1.0)
+    assert ungraspable(part, workcell) == "is 81 mm by 90 mm wide; the fingers open 80 mm"
+    assert ungraspable(replace(part, shape=Box((0.3, 0.079, 0.09))), workcell) == ""
+
+
+def test_the_planner_refuses_a_home_beyond_the_limits(workcell: Workcell) -> None:
+    home = workcell.home.copy()
+    home[0] = 9.0
+    with pytest.raises(InputError, match=r"panda: robot.home: joint 'panda_joint1' stands at 9 rad; -2\.\d+ to 2\.\d+"):
+        RemovalPlanner(scene_assembly(), replace(workcell, home=home))
+
+
+def test_the_judge_refuses_a_home_beyond_the_limits_or_in_something() -> None:
+    cell, options = scene_workcell(), VerificationOptions()
+    assert Replay(scene_assembly(), cell, options).check_placement() == []
+    for value in (9.0, -9.0):
+        home = cell.home.copy()
+        home[0] = value
+        found = Replay(scene_assembly(), replace(cell, home=home), options).check_placement()
+        messages = [f.message for f in found if f.check == "home"]
+        assert messages[0].startswith(f"joint 1 rests at {value:.4g} rad; ")
+    scene = Replay(scene_assembly(), cell, options).scene
+    scene.place(cell.home)
+    hand = scene.data.body("panda_hand").xpos.copy()
+    block = Obstacle("block", OrientedBox(pose(hand), np.full(3, 0.03)))
+    found = Replay(scene_assembly(), replace(cell, environment=(*cell.environment, block)), options).check_placement()
+    assert any("panda_hand" in f.message and "environment/block" in f.message and f.depth > 0.01 for f in found)
+
+
+def test_sizes_below_a_tenth_of_a_millimetre_are_refused() -> None:
+    document = assembly_document(load_assembly(data_path("examples/rack.json")))
+    document["parts"][0]["shape"]["size"][1] = 1e-4
+    validated(AssemblyModel, document, "rack.json")
+    document["parts"][0]["shape"]["size"][1] = 0.99e-4
+    with pytest.raises(InputError, match=r"rack.json: parts\[0\].shape.size\[1\]: .*0\.0001"):
+        validated(AssemblyModel, document, "rack.json")
