@@ -249,7 +249,7 @@ def test_no_missed_collision_in_other_configurations(planner: RemovalPlanner, pa
 
 
 def test_configurations_with_more_clearance_than_the_cover_needs_are_free(planner: RemovalPlanner) -> None:
-    """What is 35 mm from everything, and 60 mm from itself, must never be refused; 2 mm where a table tells distances."""
+    """What is 35 mm from everything, and 60 mm from itself, must never be refused; with a table 2 mm are enough."""
     assembly, robot = planner.assembly, planner.robot
     oracle = Oracle(assembly, planner.workcell)
     work = robot.workspace(64)
