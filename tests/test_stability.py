@@ -168,8 +168,8 @@ def bar(name: str, position: tuple[float, float, float], size: tuple[float, floa
 
 
 def holder(kind: str, host: Part, guest: Part, at: tuple[float, float, float]) -> Connector:
-    """A connector with one tiny wall at a world position."""
-    wall = OrientedBox(pose_inverse(host.T_world_part) @ pose(at), np.full(3, 1e-5))
+    """A connector with one thin wall about a world position, 2 cm high: it reaches its host."""
+    wall = OrientedBox(pose_inverse(host.T_world_part) @ pose(at), np.array([1e-4, 1e-4, 0.0098]))
     return Connector(f"{host.name}.{guest.name}", kind, host.name, guest.name, (wall,))  # type: ignore[arg-type]
 
 
