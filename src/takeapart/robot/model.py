@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import trimesh
 
-from takeapart.compilation import cache_folder
 from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox, pose_inverse
 from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
 from takeapart.robot.cover import SphereCover, sphere_cover
 from takeapart.robot.hand import move_load
+from takeapart.robot.kept import keep, kept
 from takeapart.robot.kinematics import forward
 from takeapart.robot.self_collision import BodyPair, ConvexBody, body_pairs
 from takeapart.workcell import RobotDescription, Workcell
@@ -316,7 +316,7 @@ def _link_cover(urdf: ElementTree.Element, link: str, description: RobotDescript
                 f"link {link!r} has collision geometry that is no mesh", f"{description.name}: {description.urdf}"
             )
         path = description.resolve(mesh.get("filename", ""))
-        found = _mesh_cover(str(path), hashlib.sha256(path.read_bytes()).hexdigest(), inflation)
+        found = _mesh_cover(str(path), _digest(path), inflation)
         T = _origin(element)
         parts.append(SphereCover(found.centers @ T[:3, :3].T + T[:3, 3], found.radii, found.inflation))
     if not parts:
@@ -334,39 +334,39 @@ def _link_corners(urdf: ElementTree.Element, link: str, description: RobotDescri
     for element in _collision_elements(urdf, link):
         T = _origin(element)
         path = description.resolve(element.find("geometry/mesh").get("filename", ""))  # type: ignore[union-attr]
-        corners.append(_mesh_corners(str(path)) @ T[:3, :3].T + T[:3, 3])
+        corners.append(_mesh_corners(str(path), _digest(path)) @ T[:3, :3].T + T[:3, 3])
     together = np.concatenate(corners)
     return together if len(corners) == 1 else np.asarray(trimesh.convex.convex_hull(together).vertices, dtype=float)
 
 
 @lru_cache(maxsize=64)
-def _mesh_corners(path: str) -> Array:
-    return np.asarray(trimesh.load_mesh(path).convex_hull.vertices, dtype=float)
+def _mesh_corners(path: str, digest: str) -> Array:
+    """Corners (V, 3), m, of the convex hull of a mesh file; computed once per file content, as its cover is."""
+    name = f"corners-1-{digest[:24]}"
+    known = kept(name)
+    if known is not None and known.ndim == 2 and known.shape[1] == 3 and len(known) > 3 and np.isfinite(known).all():
+        return np.ascontiguousarray(known, dtype=float)
+    found = np.asarray(trimesh.load_mesh(path).convex_hull.vertices, dtype=float)
+    keep(name, found)
+    return found
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=64)
 def _mesh_cover(path: str, digest: str, inflation: float) -> SphereCover:
     """Cover of the convex hull of a mesh file; computed once per file content and kept in the cache folder."""
-    file = cache_folder() / f"cover-2-{digest[:24]}-{inflation * 1e4:.0f}.npy"
-    if file.is_file():
-        try:
-            rows = np.load(file, allow_pickle=False)
-            if rows.ndim == 2 and rows.shape[1] == 4 and len(rows) > 1 and np.isfinite(rows).all():
-                return SphereCover(rows[1:, :3], rows[1:, 3], float(rows[0, 3]))
-        except (OSError, ValueError):
-            pass  # a damaged cache is made again
+    name = f"cover-2-{digest[:24]}-{inflation * 1e4:.0f}"
+    rows = kept(name)
+    if rows is not None and rows.ndim == 2 and rows.shape[1] == 4 and len(rows) > 1 and np.isfinite(rows).all():
+        return SphereCover(rows[1:, :3], rows[1:, 3], float(rows[0, 3]))
     hull = trimesh.load_mesh(path).convex_hull
     found = sphere_cover(
         np.asarray(hull.triangles, dtype=float), np.asarray(hull.face_normals), inflation, np.random.default_rng(0)
     )
-    rows = np.vstack([[0, 0, 0, found.inflation], np.column_stack([found.centers, found.radii])])
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_suffix(f".{os.getpid()}.npy")
-        np.save(temporary, rows, allow_pickle=False)
-        temporary.replace(file)
-    except OSError:
-        pass  # without a place for the cache the cover is made again next time
+    keep(name, np.vstack([[0, 0, 0, found.inflation], np.column_stack([found.centers, found.radii])]))
     return found
 
 

@@ -15,16 +15,16 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from takeapart.compilation import cache_folder, compiled
+from takeapart.compilation import compiled
 from takeapart.geometry import Array
 from takeapart.robot.arrays import TABLE_UNIT, Distances, Floats
+from takeapart.robot.kept import keep, kept
 from takeapart.robot.separation import separation
 
 NODE = 0.005  # rad, between the nodes of a table
@@ -162,22 +162,13 @@ def distance_table(
     for array in (first.corners, second.corners, chain, starts):
         digest.update(np.ascontiguousarray(array).tobytes())
     shape = (counts[0], counts[1])
-    file = cache_folder() / f"distances-1-{digest.hexdigest()[:24]}.npy"
-    try:
-        known = np.load(file, allow_pickle=False)
-        if known.shape == shape and known.dtype == np.uint16:
-            return DistanceTable((i, j), starts, steps, known, reach)
-    except (OSError, ValueError):
-        pass  # missing or damaged: made again
+    name = f"distances-1-{digest.hexdigest()[:24]}"
+    known = kept(name)
+    if known is not None and known.shape == shape and known.dtype == np.uint16:
+        return DistanceTable((i, j), starts, steps, known.astype(np.uint16, copy=False), reach)
     distances = np.zeros(shape, np.uint16)
     _fill(first.corners, second.corners, chain, starts, reach, distances)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_suffix(f".{os.getpid()}.npy")
-        np.save(temporary, distances, allow_pickle=False)
-        temporary.replace(file)
-    except OSError:
-        pass  # without a place for the cache the table is made again next time
+    keep(name, distances)
     return DistanceTable((i, j), starts, steps, distances, reach)
 
 
@@ -185,8 +176,8 @@ def _reach(first: ConvexBody, second: ConvexBody, chain: Floats) -> tuple[float,
     """For each joint between two bodies the greatest distance, m, of the points of one of them from its axis: of the
     body for which that is less, since the motion of either relative to the other is the same.
 
-    A body beyond another joint may stand anywhere that joint can take it: its points are no further from the axis
-    than the other joint's origin, and from there than in any direction.
+    A body beyond the other of two joints goes round that joint's axis: its points are followed all round, at angles
+    inside the limits and beyond them.
     """
 
     def from_axis(points: Array, T: Array) -> float:

@@ -1,0 +1,34 @@
+"""Arrays that cost time to work out, kept in the cache folder: once found, they are read."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from takeapart.compilation import cache_folder
+
+
+def kept(name: str) -> NDArray[Any] | None:
+    """The array kept under a name; None where there is none, or where its file is damaged. The caller checks shape and
+    type: whatever does not fit is made again.
+    """
+    try:
+        found = np.load(cache_folder() / f"{name}.npy", allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return found if isinstance(found, np.ndarray) else None
+
+
+def keep(name: str, array: NDArray[Any]) -> None:
+    """Keeps an array, all of it or nothing; without a place for it, it is made again next time."""
+    file = cache_folder() / f"{name}.npy"
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_suffix(f".{os.getpid()}.npy")
+        np.save(temporary, array, allow_pickle=False)
+        temporary.replace(file)
+    except OSError:
+        pass

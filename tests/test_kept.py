@@ -1,0 +1,61 @@
+"""Arrays kept in the cache folder: read again as they were, made again where the file is damaged or cannot be kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from takeapart.files import load_workcell
+from takeapart.robot import model
+from takeapart.robot.kept import keep, kept
+from takeapart.robot.model import load_robot
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TAKEAPART_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.mark.parametrize("array", [np.arange(6.0).reshape(2, 3), np.array([[3, 65535]], dtype=np.uint16)])
+def test_what_is_kept_comes_back(folder: Path, array: np.ndarray) -> None:
+    assert kept("name") is None
+    keep("name", array)
+    found = kept("name")
+    assert found is not None and found.dtype == array.dtype
+    np.testing.assert_array_equal(found, array)
+    assert [file.name for file in folder.iterdir()] == ["name.npy"]
+
+
+@pytest.mark.parametrize("content", [b"", b"\x93NUMPY", b"not an array", b"\x80\x04\x95"])
+def test_a_damaged_file_is_as_none(folder: Path, content: bytes) -> None:
+    keep("name", np.zeros(3))
+    (folder / "name.npy").write_bytes(content)
+    assert kept("name") is None
+
+
+def test_objects_are_never_unpickled(folder: Path) -> None:
+    folder.mkdir()
+    np.save(folder / "name.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    assert kept("name") is None
+
+
+def test_without_a_place_nothing_is_kept_and_nothing_fails(folder: Path) -> None:
+    folder.write_text("a file where the folder would be")
+    keep("name", np.zeros(3))
+    assert kept("name") is None
+
+
+@pytest.mark.slow
+def test_a_robot_is_the_same_from_kept_arrays_and_from_damaged_ones(folder: Path) -> None:
+    first = load_robot(load_workcell("panda"))
+    for file in folder.glob("c*.npy"):  # covers and corners, not the tables
+        file.write_bytes(file.read_bytes()[:-8])
+    model._mesh_cover.cache_clear()
+    model._mesh_corners.cache_clear()
+    again = load_robot(load_workcell("panda"))
+    assert first.pairs == again.pairs
+    for before, after in zip(first.arm, again.arm, strict=True):
+        np.testing.assert_array_equal(before, after)
