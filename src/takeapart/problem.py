@@ -103,7 +103,7 @@ class AssemblyProblem:
         return [part for part in members(state) if not self.hindered_by[part] & state]
 
     def static_lower(self, part: int) -> float:
-        """Straight-line bound of a part, m; holds for whatever planner."""
+        """Straight-line bound of a part, m; holds for whatever planner that takes the same grasps."""
         return self.edge_bounds.static(part)
 
     def upper(self, state: int, part: int) -> float:

@@ -6,7 +6,8 @@ subset of that state. Two numbers per edge follow:
 - `upper`: length of the shortest removal known that is valid in the state. Always true: that removal can be executed.
 - `lower`: the largest of the part's static bound and the costs of its *closed* edges in subsets of the state.
 
-Which of them is a proof: the static bound (the straight line from grasp to goal) holds for whatever planner. An edge
+Which of them is a proof: the static bound (the straight line from grasp to goal) holds for whatever planner that
+takes the same grasps. An edge
 is closed once it was planned with the full effort; its cost is then what `upper` says there. That is a statement about
 the planner, not about geometry: a better planner may find a shorter removal, or one where ours found none. So `lower`
 and everything summed up from it is relative to what the planner found. Where the planner contradicts itself (it finds

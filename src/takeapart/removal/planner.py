@@ -97,13 +97,13 @@ class RemovalPlanner:
         self.goals.forget()
 
     def straight_line_bound(self, part: int) -> float:
-        """No removal of the part is shorter in this workcell, whatever planner made it, m; infinite without any
-        grasp.
+        """No removal of the part with one of its grasp candidates is shorter, whatever planner made it, m; infinite
+        without any.
         """
         return self.reach.bound(part)
 
     def straight_line_total(self, removals: Sequence[Removal]) -> float:
-        """No plan that removes the same parts in this workcell is shorter, m."""
+        """No plan that removes the same parts with their grasp candidates is shorter, m."""
         return math.fsum(self.straight_line_bound(removal.part) for removal in removals)
 
     def plan(
