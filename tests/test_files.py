@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import example_documents
 from takeapart.assembly import Assembly, Connector, Part
-from takeapart.documents import write_atomically
+from takeapart.documents import require_writable, write_atomically
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.files import (
     assembly_hash,
@@ -283,19 +283,23 @@ def test_failure_at_any_stage_leaves_the_old_file(
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("missing/a.json", "there is no folder .*missing; make it first"),
         ("folder", "it is a folder"),
         ("a\x00b", "null"),
         ("x" * 300, "name too long"),
         ("pipe", "not a regular file"),
+        ("folder/", "ends in '/'"),
+        ("loop", "too many levels of symbolic links"),
     ],
 )
 def test_names_that_cannot_be_written(tmp_path: Path, name: str, message: str) -> None:
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
     with pytest.raises(InputError, match=f"cannot be written: .*{message}"):
-        write_atomically(tmp_path / name, "new")
-    assert sorted(os.listdir(tmp_path)) == ["folder", "pipe"]
+        write_atomically(f"{tmp_path}/{name}", "new")
+    with pytest.raises(InputError, match=f"cannot be written: .*{message}"):  # and it is known before the work starts
+        require_writable(f"{tmp_path}/{name}")
+    assert sorted(os.listdir(tmp_path)) == ["folder", "loop", "pipe"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")

@@ -8,6 +8,8 @@ Nothing heavy is imported before a command runs, so that ``takeapart --help`` an
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -19,7 +21,7 @@ from takeapart.cli_compare import compare
 from takeapart.cli_demo import demo
 from takeapart.cli_generate import generate
 from takeapart.cli_inspect import explain, show
-from takeapart.cli_output import EXIT_ERROR, EXIT_INTERRUPTED
+from takeapart.cli_output import EXIT_ERROR, EXIT_INTERRUPTED, paragraph
 from takeapart.cli_plan import plan
 from takeapart.cli_render import render
 from takeapart.cli_report import report
@@ -28,6 +30,7 @@ from takeapart.cli_train import train
 from takeapart.cli_verify import assemble, verify
 from takeapart.cli_view import view
 from takeapart.errors import TakeapartError
+from takeapart.messages import reason, shown
 
 
 class CommandLine(click.Group):
@@ -57,11 +60,26 @@ class CommandLine(click.Group):
         except TakeapartError as error:
             _complain(str(error))
             code = EXIT_ERROR
+        except OSError as error:  # what no command foresaw, as a full standard output
+            named = isinstance(error.filename, str | bytes)
+            where = f"{shown(os.fsdecode(error.filename))}: " if named else "the system refused: "
+            _complain(f"{where}{reason(error)}")
+            code = EXIT_ERROR
+        _flush_output()
         sys.exit(code if isinstance(code, int) else 0)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In the order in which they are met, not by the alphabet."""
         return list(self.commands)
+
+
+def _flush_output() -> None:
+    """So that a full or closed output does not end in the interpreter's own words while it shuts down."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> None:
@@ -73,21 +91,32 @@ def _complain(message: str) -> None:
     cls=CommandLine,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Exit codes: 0 done; 2 broken input or misuse; 3 no feasible order; 4 a plan did not pass its verification; "
-    "130 stopped by Ctrl-C before there was anything to keep.",
+    help="Plan how a robot builds a product by planning how it takes the product apart.\n\n"
+    + paragraph(
+        "A first look:",
+        "  takeapart demo",
+        "Your own product:",
+        "  takeapart show product.json",
+        "  takeapart plan product.json --workcell cell.toml",
+        "  takeapart verify product.plan.json",
+        "  takeapart view product.plan.json",
+        "No plan? Why:",
+        "  takeapart explain product.json --workcell cell.toml",
+    )
+    + "\n\nEvery command explains itself: takeapart COMMAND --help.",
+    epilog=paragraph(
+        "Exit codes:",
+        "  0    done",
+        "  2    broken input or misuse; one line says what, where, and what would be valid",
+        "  3    no feasible order",
+        "  4    a plan did not pass its verification",
+        "  130  stopped by Ctrl-C before there was anything to keep",
+    ),
 )
 @click.version_option(takeapart.__version__, prog_name="takeapart")
 @click.pass_context
 def main(context: click.Context) -> None:
-    r"""Plan how a robot builds a product by planning how it takes the product apart.
-
-    \b
-    A first look:      takeapart demo
-    Your own product:  takeapart plan product.json --workcell cell.toml
-                       takeapart show product.plan.json
-                       takeapart verify product.plan.json --assembly product.json --workcell cell.toml
-    No plan? Why:      takeapart explain product.json
-    """
+    """All commands; without any of them the help is printed."""
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
 

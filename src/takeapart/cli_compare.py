@@ -8,7 +8,17 @@ from pathlib import Path
 import click
 
 from takeapart.cli_compile import compile_first
-from takeapart.cli_output import FILE, json_option, make_folder, note, print_json, progress_bar, workcell_option
+from takeapart.cli_output import (
+    FILE,
+    FOLDER,
+    examples,
+    json_option,
+    make_folder,
+    note,
+    print_json,
+    progress_bar,
+    workcell_option,
+)
 from takeapart.errors import InputError
 
 SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "exact")  # experiments.comparison
@@ -16,7 +26,7 @@ SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "
 
 @click.command(
     short_help="Compare the searches at equal cost.",
-    epilog="Example: takeapart compare data/single --budget-queries 300 --seeds 3 --out out/single",
+    epilog=examples("takeapart compare data/single --budget-queries 300 --seeds 3 --out out/single"),
 )
 @click.argument("dataset", type=FILE)
 @click.option("--budget-queries", type=click.IntRange(1), required=True, help="Removal queries that every run may ask.")
@@ -25,7 +35,9 @@ SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "
 @click.option(
     "--search", "searches", type=click.Choice(SEARCHES), multiple=True, help="Only these searches.  [default: all]"
 )
-@click.option("--out", type=FILE, default=Path("comparison"), show_default=True, help="Folder of runs, table and plot.")
+@click.option(
+    "--out", type=FOLDER, default=Path("comparison"), show_default=True, help="Folder of all results; made if needed."
+)
 @workcell_option
 @json_option
 def compare(

@@ -9,7 +9,9 @@ import click
 
 from takeapart.cli_output import (
     EXIT_UNVERIFIED,
-    FILE,
+    FOLDER,
+    SECONDS,
+    examples,
     json_option,
     make_folder,
     note,
@@ -33,19 +35,22 @@ DEMO_ASSEMBLY = "single/01.json"
 DEMO_WORKCELL = "panda"
 
 
-@click.command(short_help="Plan and verify a shipped assembly.")
+@click.command(
+    short_help="Plan and verify a shipped assembly.",
+    epilog=examples("takeapart demo", "takeapart demo --search greedy --out first"),
+)
 @click.option(
-    "--out", type=FILE, default=Path("out/demo"), show_default=True, help="Folder of plan.json; made if needed."
+    "--out", type=FOLDER, default=Path("out/demo"), show_default=True, help="Folder of plan.json; made if needed."
 )
 @click.option(
     "--search", type=click.Choice(SEARCHES), default="exact", show_default=True, help="As of the command plan."
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0, min_open=True),
+    type=SECONDS,
     default=40.0,
     show_default=True,
-    help="Time limit of the search; the best plan so far is kept.",
+    help="Time limit of the search, inf for none; the best plan so far is kept.",
 )
 @seed_option
 @json_option

@@ -12,8 +12,9 @@ import click
 
 from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
-    FILE,
+    FOLDER,
     LARGEST_SEED,
+    examples,
     json_option,
     make_folder,
     print_json,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 @click.command(
     short_help="Make random aluminium-profile assemblies.",
-    epilog="Example: takeapart generate --layers 2 --back 3 --front 3 --count 7 --out double",
+    epilog=examples("takeapart generate --layers 2 --back 3 --front 3 --count 7 --out double"),
 )
 @click.option("--layers", type=int, default=1, show_default=True, help="Levels of bars between bottom and top.")
 @click.option("--back", type=int, default=4, show_default=True, help="Bars added at the back of every layer.")
@@ -78,7 +79,7 @@ if TYPE_CHECKING:
     "--count", type=click.IntRange(1, 9999), default=1, show_default=True, help="How many files: 01.json, 02.json, ..."
 )
 @click.option(
-    "--out", type=FILE, default=Path("assemblies"), show_default=True, help="Folder of the files; made if needed."
+    "--out", type=FOLDER, default=Path("assemblies"), show_default=True, help="Folder of the files; made if needed."
 )
 @click.option(
     "--name", default="profiles", show_default=True, help="Name of the assemblies; -01, -02, ... is added to it."

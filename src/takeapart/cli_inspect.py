@@ -10,7 +10,9 @@ import click
 
 from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
+    ASSEMBLY_HELP,
     FILE,
+    examples,
     json_option,
     metres,
     print_json,
@@ -21,6 +23,7 @@ from takeapart.cli_output import (
 )
 from takeapart.cli_plan_output import plan_summary, print_plan
 from takeapart.errors import InputError, UnknownNameError
+from takeapart.messages import shown
 
 if TYPE_CHECKING:
     from takeapart.assembly import Assembly, Part
@@ -30,12 +33,15 @@ if TYPE_CHECKING:
     from takeapart.workcell import Workcell
 
 
-@click.command(short_help="Print a plan, an assembly or a workcell as a table.")
+@click.command(
+    short_help="Print a plan, an assembly or a workcell as a table.",
+    epilog=examples("takeapart show product.json", "takeapart show product.plan.json", "takeapart show panda"),
+)
 @click.argument("file", type=FILE)
 @click.option(
     "--assembly",
     type=FILE,
-    help="The assembly of a plan, to print the sizes of its parts.  [default: a shipped one with the plan's hash]",
+    help=ASSEMBLY_HELP,
 )
 @json_option
 def show(file: Path, assembly: Path | None, as_json: bool) -> None:
@@ -55,7 +61,7 @@ def show(file: Path, assembly: Path | None, as_json: bool) -> None:
     form = document.get("format") if isinstance(document, dict) else None
     if form == "takeapart/plan":
         plan = load_plan(file)
-        _show_plan(plan, assembly_of(plan, assembly), as_json)
+        _show_plan(plan, _assembly_of(plan, assembly, file), as_json)
     elif form == "takeapart/assembly":
         _show_assembly(load_assembly(file), as_json)
     else:
@@ -64,22 +70,17 @@ def show(file: Path, assembly: Path | None, as_json: bool) -> None:
         )
 
 
-def assembly_of(plan: Plan, given: Path | None) -> Assembly | None:
-    """The assembly of a plan: the given file, or else the shipped assembly with the plan's hash.
-
-    Raises:
-        InputError: the given file is broken.
-    """
-    from takeapart.files import data_path, load_assembly
-    from takeapart.serialization import assembly_hash
+def _assembly_of(plan: Plan, given: Path | None, file: Path) -> Assembly | None:
+    """The assembly of a plan, which is shown without it too."""
+    from takeapart.files import load_assembly
+    from takeapart.sources import source_assembly
 
     if given is not None:
         return load_assembly(given)
-    for file in sorted(data_path(".").glob("*/*.json")):
-        found = load_assembly(file)
-        if found.name == plan.assembly and assembly_hash(found) == plan.hashes["assembly"]:
-            return found
-    return None
+    try:
+        return source_assembly(plan, [file.parent], shown(file))
+    except InputError:
+        return None
 
 
 def size_text(part: Part) -> str:
@@ -185,7 +186,7 @@ def _show_workcell(workcell: Workcell, as_json: bool) -> None:
 
 @click.command(
     short_help="Say which parts can leave now, and what blocks the others.",
-    epilog="Example: takeapart explain product.json --without top_front --without top_left",
+    epilog=examples("takeapart explain product.json --without top_front --without top_left"),
 )
 @click.argument("assembly", type=FILE)
 @workcell_option

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,16 +14,104 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from takeapart.errors import InputError
+from takeapart.messages import reason, shown
 
 if TYPE_CHECKING:
-    from takeapart.search.result import Budget, Progress
+    from rich.console import Console, RenderableType
+    from rich.progress import Progress
+
+    from takeapart.search.result import Budget
+    from takeapart.search.result import Progress as SearchProgress
 
 EXIT_ERROR, EXIT_INFEASIBLE, EXIT_UNVERIFIED, EXIT_INTERRUPTED = 2, 3, 4, 130
 
 PLAIN_WIDTH = 110  # of tables where the output is no terminal
+TITLE_WIDTH = 40  # of what a progress bar is for, so that bar and time fit in 80 columns with it
 
-FILE = click.Path(path_type=Path)
+
+class FileName(click.ParamType):
+    """A path; unlike `pathlib.Path` it does not overlook a slash at the end, which stands for a folder.
+
+    Args:
+        folder: whether a folder is meant, which may be made; otherwise a file, or a folder that is there.
+    """
+
+    def __init__(self, folder: bool = False) -> None:
+        self.folder = folder
+        self.name = "folder" if folder else "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path.
+
+        Raises:
+            InputError: the name is empty, holds a null character, or ends in a slash and no such folder is there.
+        """
+        text = os.fspath(value)
+        if not text:
+            raise InputError(f"the name of a {self.name} is empty", _option(param))
+        if "\x00" in text:
+            raise InputError("holds a null character, which no name may", shown(text))
+        if not self.folder and text.endswith(os.sep) and not os.path.isdir(text):
+            raise InputError("ends in '/', which stands for a folder, and there is no such folder", shown(text))
+        return Path(text)
+
+
+class Seconds(click.ParamType):
+    """A time limit in seconds; ``inf`` is none."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The limit.
+
+        Raises:
+            InputError: no number above 0, or one too large to be held.
+        """
+        text = str(value).strip().lower()
+        if text in ("inf", "infinity", "+inf"):
+            note(f"{_option(param)} {text}: no time limit; Ctrl-C ends the search and keeps the best plan so far")
+            return math.inf
+        try:
+            seconds = float(text)
+        except ValueError:
+            seconds = math.nan
+        if not 0 < seconds < math.inf:
+            raise InputError(f"{value}; must be a number of seconds above 0, or inf for no limit", _option(param))
+        return seconds
+
+
+class FiniteNumber(click.FloatRange):
+    """A number in a range, never NaN or infinite, which `click.FloatRange` lets through."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; fails as click's types do."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
+
+
+def _option(param: click.Parameter | None) -> str:
+    return "" if param is None else param.opts[0] if isinstance(param, click.Option) else str(param.human_readable_name)
+
+
+def examples(*commands: str) -> str:
+    """The end of a help page: commands that can be copied, each on a line of its own."""
+    return paragraph("Example:" if len(commands) == 1 else "Examples:", *(f"  {each}" for each in commands))
+
+
+def paragraph(*lines: str) -> str:
+    """Lines of a help page that stay as they are; click fills all other paragraphs anew."""
+    return "\n".join(["\b", *lines])
+
+
+FILE = FileName()
+FOLDER = FileName(folder=True)
+SECONDS = Seconds()
 LARGEST_SEED = 2**63 - 1
+
+ASSEMBLY_HELP = "The assembly of a plan.  [default: the one with the plan's hash, beside it or shipped]"
+WORKCELL_HELP = "The workcell.  [default: the one with the plan's hash, shipped or beside it; panda without a plan]"
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, for machines.")
 seed_option = click.option(
@@ -78,26 +167,35 @@ def require_output(path: Path, *inputs: Path) -> None:
     """Finds out before the work starts whether a file can be written where it shall go.
 
     Raises:
-        InputError: there is no such folder, the path is a folder, or one of the inputs would be overwritten.
+        InputError: it cannot, see `takeapart.documents.require_writable`; or one of the inputs would be overwritten.
     """
-    if not path.parent.is_dir():
-        raise InputError(f"cannot be written: there is no folder {path.parent}; make it first", str(path))
-    if path.is_dir():
-        raise InputError("cannot be written: it is a folder; give the name of a file", str(path))
-    if any(source.exists() and path.exists() and path.samefile(source) for source in inputs):
-        raise InputError("is an input of this command; give another name to --out", str(path))
+    from takeapart.documents import require_writable
+
+    require_writable(path)
+    if any(_same_file(path, source) for source in inputs):
+        raise InputError("is an input of this command; give another name for the output", shown(path))
+
+
+def _same_file(path: Path, source: Path) -> bool:
+    try:
+        return path.samefile(source)
+    except (OSError, ValueError):  # one of them is not there; what is wrong with an input is told when it is read
+        return False
 
 
 def make_folder(path: Path) -> None:
-    """A folder for output, with all folders above it.
+    """A folder for output that can be written, with all folders above it.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: it cannot be made, or no file can be made in it.
     """
+    from takeapart.documents import require_writable
+
     try:
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"the folder cannot be made: {(error.strerror or str(error)).lower()}", str(path)) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"the folder cannot be made: {reason(error)}", shown(path)) from None
+    require_writable(path / "any")
 
 
 @contextmanager
@@ -111,16 +209,8 @@ def progress_bar(description: str) -> Iterator[Callable[[str, float | None], Non
         yield lambda text, fraction: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns: tuple[Any, ...] = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(24),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[text]}", markup=False),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with progress_of(Console(stderr=True)) as progress:
         task = progress.add_task(description, total=None, text="")
 
         def update(text: str, fraction: float | None) -> None:
@@ -130,10 +220,35 @@ def progress_bar(description: str) -> Iterator[Callable[[str, float | None], Non
         yield update
 
 
-def search_listener(update: Callable[[str, float | None], None], budget: Budget) -> Callable[[Progress], None]:
+def progress_of(console: Console) -> Progress:
+    """A bar with its title and the time, and below it what is done at the moment; both fit in 80 columns."""
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
+    from rich.text import Text
+
+    def cut(width: int | None = None) -> Column:
+        return Column(no_wrap=True, overflow="ellipsis", max_width=width)
+
+    class TwoLines(Progress):
+        def get_renderables(self) -> Iterator[RenderableType]:
+            yield self.make_tasks_table(self.tasks)
+            for task in self.tasks:
+                if task.fields["text"]:
+                    yield Text(f"  {task.fields['text']}", no_wrap=True, overflow="ellipsis")
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False, table_column=cut(TITLE_WIDTH)),
+        BarColumn(24),
+        TimeElapsedColumn(),
+    )
+    return TwoLines(*columns, console=console, transient=True)
+
+
+def search_listener(update: Callable[[str, float | None], None], budget: Budget) -> Callable[[SearchProgress], None]:
     """Shows the signs of life of a search in a progress bar."""
 
-    def listen(progress: Progress) -> None:
+    def listen(progress: SearchProgress) -> None:
         shares = (
             progress.episode / budget.episodes,
             progress.seconds / budget.seconds,

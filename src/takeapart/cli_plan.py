@@ -16,6 +16,9 @@ import click
 from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
     FILE,
+    FOLDER,
+    SECONDS,
+    examples,
     json_option,
     note,
     print_json,
@@ -43,7 +46,11 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
 
 @click.command(
     short_help="Plan the disassembly of an assembly.",
-    epilog="Example: takeapart plan product.json --search mcts --episodes 20 --seed 1 --out product.plan.json",
+    epilog=examples(
+        "takeapart plan product.json",
+        "takeapart plan product.json --workcell cell.toml --seconds 60 --out plans/product.plan.json",
+        "takeapart plan product.json --search mcts --episodes 20 --seed 1 --run runs/first",
+    ),
 )
 @click.argument("assembly", type=FILE)
 @workcell_option
@@ -63,8 +70,8 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0, min_open=True),
-    help="Stop after this time and keep the best plan so far.  [default: no limit]",
+    type=SECONDS,
+    help="Stop after this time and keep the best plan so far; inf is no limit.  [default: no limit]",
 )
 @click.option(
     "--queries",
@@ -106,7 +113,7 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
 )
 @click.option(
     "--run",
-    type=FILE,
+    type=FOLDER,
     metavar="DIR",
     help="Keep all that is planned in this directory at once. Given again, the same command continues a run that was "
     "killed or stopped, and ends with the same plan.",
@@ -120,9 +127,10 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
 )
 @click.option(
     "--experience",
-    type=FILE,
+    type=FOLDER,
     metavar="DIR",
-    help="exact, mcts. Add all that the search sees to this folder, for `takeapart train`.",
+    help="exact, mcts. Add all that the search sees to this folder, for `takeapart train`. Needs the extra guide: "
+    "pip install 'takeapart[guide]'.",
 )
 @click.option(
     "--view",
@@ -159,6 +167,8 @@ def plan(
     which planning their removal ended and the parts that block them (exit code 3); nothing is written then.
     """
     from takeapart.files import load_assembly, load_workcell
+    from takeapart.plan import Plan
+    from takeapart.sources import with_sources
 
     if memory is not None and search != "mcts":
         raise click.UsageError(f"--memory goes with --search mcts only, not with {search}")
@@ -178,6 +188,8 @@ def plan(
     advice = loaded_guide(guide, product)
     with recorder(experience, product, options) as record, live_view(product, cell) if watch else nullcontext() as live:
         made, interrupted = make_plan(product, cell, options, run, advice, record, live)
+        if isinstance(made, Plan):
+            made = with_sources(made, out, assembly, workcell)
         saved = save_or_explain(made, interrupted, out, as_json)
         if as_json:
             print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from takeapart.cli_output import FILE, json_option, metres, note, print_json, progress_bar, require_output
+from takeapart.cli_output import (
+    ASSEMBLY_HELP,
+    FILE,
+    WORKCELL_HELP,
+    FiniteNumber,
+    examples,
+    json_option,
+    metres,
+    note,
+    print_json,
+    progress_bar,
+    require_output,
+)
 from takeapart.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,8 +31,11 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.rende
 
 @click.command(
     short_help="Draw an assembly or a plan: PNG, GIF or MP4.",
-    epilog="Examples: takeapart render product.json --out product.png --view front; "
-    "takeapart render plan.json --sheet --out steps.png; takeapart render plan.json --out plan.gif",
+    epilog=examples(
+        "takeapart render product.json --out product.png --view front",
+        "takeapart render product.plan.json --sheet --out steps.png",
+        "takeapart render product.plan.json --out plan.gif",
+    ),
 )
 @click.argument("file", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The picture (.png) or animation (.gif, .mp4).")
@@ -28,7 +43,7 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.rende
 @click.option("--step", type=click.IntRange(1), help="A picture of one step of the plan, counted from 1.")
 @click.option(
     "--at",
-    type=click.FloatRange(0, 1),
+    type=FiniteNumber(0, 1),
     default=0.4,
     show_default=True,
     help="Which moment of a step is drawn: 0 at the grasp, 1 at the goal.",
@@ -41,9 +56,9 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.rende
 @click.option(
     "--frames", type=click.IntRange(2, 240), default=12, show_default=True, help="Of an animation, for every step."
 )
-@click.option("--fps", type=click.FloatRange(1, 60), default=15.0, show_default=True, help="Frames per second.")
-@click.option("--assembly", type=FILE, help="The assembly of a plan.  [default: a shipped one with the plan's hash]")
-@click.option("--workcell", metavar="NAME|FILE.toml", help="The workcell.  [default: that of the plan, or panda]")
+@click.option("--fps", type=FiniteNumber(1, 60), default=15.0, show_default=True, help="Frames per second.")
+@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
+@click.option("--workcell", metavar="NAME|FILE.toml", help=WORKCELL_HELP)
 @json_option
 def render(
     file: Path,

@@ -6,18 +6,28 @@ from pathlib import Path
 
 import click
 
-from takeapart.cli_output import FILE, json_option, note, print_json, progress_bar, require_output
+from takeapart.cli_output import (
+    ASSEMBLY_HELP,
+    FILE,
+    WORKCELL_HELP,
+    examples,
+    json_option,
+    note,
+    print_json,
+    progress_bar,
+    require_output,
+)
 from takeapart.errors import InputError
 
 
 @click.command(
     short_help="Write one page about a plan or a run: picture, lengths, bounds, reasons.",
-    epilog="Example: takeapart report product.plan.json --out report.html",
+    epilog=examples("takeapart report product.plan.json --out report.html"),
 )
 @click.argument("file", metavar="PLAN|RUN", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The HTML file; it needs no other file.")
-@click.option("--assembly", type=FILE, help="The assembly of the plan.  [default: a shipped one with the plan's hash]")
-@click.option("--workcell", metavar="NAME|FILE.toml", help="The workcell of the plan.  [default: the one it names]")
+@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
+@click.option("--workcell", metavar="NAME|FILE.toml", help=WORKCELL_HELP)
 @json_option
 def report(file: Path, out: Path, assembly: Path | None, workcell: str | None, as_json: bool) -> None:
     """Write one HTML page about PLAN, a plan file, or RUN, a run directory whose search has ended.

@@ -13,11 +13,14 @@ from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
     EXIT_INTERRUPTED,
     FILE,
+    FOLDER,
+    examples,
     json_option,
     make_folder,
     note,
     print_json,
     progress_bar,
+    require_output,
     seed_option,
     workcell_option,
 )
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from takeapart.experiments.schedule import ScheduleProgress
 
 SHOWN_JOBS = 2
+MAXIMUM_DOCUMENT_BYTES = 8 * 2**20
 
 workers_option = click.option(
     "--workers",
@@ -36,14 +40,20 @@ workers_option = click.option(
 )
 
 
-@click.group(short_help="Run experiments and write their tables and plots.")
+@click.group(
+    short_help="Run experiments and write their tables and plots.",
+    epilog=examples("takeapart reproduce paper --quick", "takeapart reproduce beyond --help"),
+)
 def reproduce() -> None:
-    """Run experiments and write their tables and plots."""
+    """Run experiments and write their tables and plots. Each explains itself: takeapart reproduce NAME --help."""
 
 
-@reproduce.command(short_help="Fig. 5, Tables I and II of the paper.")
+@reproduce.command(
+    short_help="Fig. 5, Tables I and II of the paper.",
+    epilog=examples("takeapart reproduce paper --quick", "takeapart reproduce paper --out out/paper --workers 8"),
+)
 @click.option(
-    "--out", type=FILE, default=Path("out/paper"), show_default=True, help="Folder of all results; made if needed."
+    "--out", type=FOLDER, default=Path("out/paper"), show_default=True, help="Folder of all results; made if needed."
 )
 @click.option("--quick", is_flag=True, help="Every table and plot within minutes, from a few short searches.")
 @click.option(
@@ -71,6 +81,7 @@ def paper(
 
     settings = quick_settings(seed) if quick else full_settings(seed)
     settings = replace(settings, episodes=episodes or settings.episodes)
+    require_document(document)
     make_folder(out)
     crew = open_workers(workers)
     try:
@@ -89,7 +100,10 @@ def paper(
     click.echo(f"{len(files)} files written to {out} in {done.seconds:.0f} s")
 
 
-@reproduce.command(short_help="Searches with and without a guide where exact search cannot close.")
+@reproduce.command(
+    short_help="Searches with and without a guide where exact search cannot close.",
+    epilog=examples("takeapart reproduce beyond large/01.json large/02.json --queries 500"),
+)
 @click.argument("assemblies", type=FILE, nargs=-1, required=True)
 @click.option(
     "--guide",
@@ -101,7 +115,7 @@ def paper(
 )
 @click.option("--queries", type=click.IntRange(1), default=1000, show_default=True, help="Removal queries per search.")
 @click.option(
-    "--out", type=FILE, default=Path("out/beyond"), show_default=True, help="Folder of all results; made if needed."
+    "--out", type=FOLDER, default=Path("out/beyond"), show_default=True, help="Folder of all results; made if needed."
 )
 @workcell_option
 @workers_option
@@ -128,13 +142,18 @@ def beyond(
     """
     from takeapart.experiments.beyond_exact import BeyondSettings, compare_beyond
     from takeapart.experiments.workers import open_workers
-    from takeapart.files import load_workcell
+    from takeapart.files import load_assembly, load_workcell
+    from takeapart.guide.policy import load_guide
 
     settings = BeyondSettings(assemblies, guide, workcell, seed, queries)
+    cell = load_workcell(workcell)
+    for file in assemblies:
+        load_guide(guide, load_assembly(file))
+    require_document(document)
     make_folder(out)
     crew = open_workers(workers)
     try:
-        compile_first(load_workcell(workcell))
+        compile_first(cell)
         with progress_bar("beyond exact search") as update:
             files = compare_beyond(settings, out, crew, schedule_listener(update), document)
     except KeyboardInterrupt:
@@ -146,6 +165,19 @@ def beyond(
         return
     click.echo((out / "beyond.md").read_text(encoding="utf-8"))
     click.echo(f"{len(files)} files written to {out}")
+
+
+def require_document(document: Path | None) -> None:
+    """Finds out before the work starts whether the blocks of a document can be filled.
+
+    Raises:
+        InputError: it cannot be read or written.
+    """
+    from takeapart.documents import read_bytes
+
+    if document is not None:
+        read_bytes(document, MAXIMUM_DOCUMENT_BYTES)
+        require_output(document)
 
 
 def schedule_listener(update: Callable[[str, float | None], None]) -> Callable[[ScheduleProgress], None]:

@@ -8,7 +8,18 @@ from pathlib import Path
 
 import click
 
-from takeapart.cli_output import FILE, json_option, metres, note, print_json, progress_bar, require_output, seed_option
+from takeapart.cli_output import (
+    FILE,
+    FOLDER,
+    examples,
+    json_option,
+    metres,
+    note,
+    print_json,
+    progress_bar,
+    require_output,
+    seed_option,
+)
 from takeapart.errors import MissingExtraError
 
 TEACHERS = ("backup", "exact", "dqn")  # takeapart.guide.training.TEACHERS, without its imports
@@ -16,10 +27,13 @@ TEACHERS = ("backup", "exact", "dqn")  # takeapart.guide.training.TEACHERS, with
 
 @click.command(
     short_help="Learn from recorded searches which part to remove next.",
-    epilog="Example: takeapart plan product.json --experience seen; takeapart train seen --out guide.safetensors; "
-    "takeapart plan other.json --search mcts --guide guide.safetensors",
+    epilog=examples(
+        "takeapart plan product.json --experience seen",
+        "takeapart train seen --out guide.safetensors",
+        "takeapart plan other.json --search mcts --guide guide.safetensors",
+    ),
 )
-@click.argument("experience", type=FILE, nargs=-1, required=True)
+@click.argument("experience", type=FOLDER, nargs=-1, required=True)
 @click.option("--out", type=FILE, default=Path("guide.safetensors"), show_default=True, help="The weights file.")
 @click.option(
     "--teacher",
@@ -58,7 +72,7 @@ def train(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Train a guide on the folders EXPERIENCE, written by ``takeapart plan --experience``.
+    """Train a guide on the folders EXPERIENCE, written by `takeapart plan --experience`.
 
     Writes the weights, and a log of the training (CSV) beside them. A training that was stopped or killed goes on when
     the same command is given again, and ends with the same weights.

@@ -7,29 +7,39 @@ from typing import TYPE_CHECKING
 
 import click
 
-from takeapart.cli_inspect import assembly_of
-from takeapart.cli_output import EXIT_UNVERIFIED, FILE, json_option, print_json, progress_bar, require_output
+from takeapart.cli_output import (
+    ASSEMBLY_HELP,
+    EXIT_UNVERIFIED,
+    FILE,
+    WORKCELL_HELP,
+    examples,
+    json_option,
+    print_json,
+    progress_bar,
+    require_output,
+)
 from takeapart.cli_plan_output import plan_summary, print_plan
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.messages import shown
 
 if TYPE_CHECKING:
-    from takeapart.plan import Plan
     from takeapart.verification import VerificationReport
-    from takeapart.workcell import Workcell
 
 SHOWN_FINDINGS = 20
 
 
 @click.command(
     short_help="Check a plan with an independent simulator.",
-    epilog="Example: takeapart verify product.plan.json --assembly product.json --report report.json",
+    epilog=examples(
+        "takeapart verify product.plan.json",
+        "takeapart verify product.plan.json --assembly product.json --report report.json",
+    ),
 )
 @click.argument("plan", type=FILE)
-@click.option("--assembly", type=FILE, help="The assembly of the plan.  [default: a shipped one with the plan's hash]")
+@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
 @click.option(
     "--workcell",
     metavar="NAME|FILE.toml",
-    help="The workcell of the plan.  [default: the shipped one with the name in the plan]",
+    help=WORKCELL_HELP,
 )
 @click.option(
     "--physics/--no-physics",
@@ -49,17 +59,14 @@ def verify(
     pip install 'takeapart[verify]'.
     """
     from takeapart.documents import readable_json, write_atomically
-    from takeapart.files import load_plan
+    from takeapart.files import load_assembly, load_plan, load_workcell
+    from takeapart.sources import source_assembly, source_workcell
     from takeapart.verification import report_as_dict, verify_plan
 
     checked = load_plan(plan)
-    product = assembly_of(checked, assembly)
-    if product is None:
-        raise InputError(
-            f"was made for assembly {checked.assembly!r}; none of this hash is shipped, give it with --assembly FILE",
-            str(plan),
-        )
-    cell = workcell_of(checked, workcell)
+    place = shown(plan)
+    product = load_assembly(assembly) if assembly else source_assembly(checked, [plan.parent], place)
+    cell = load_workcell(workcell) if workcell else source_workcell(checked, [plan.parent], place)
     if report is not None:
         require_output(report, plan, *([assembly] if assembly else []))
     with progress_bar(f"verifying {checked.assembly}"):
@@ -72,24 +79,6 @@ def verify(
         print_verdict(outcome)
     if not outcome.passed:
         raise click.exceptions.Exit(EXIT_UNVERIFIED)
-
-
-def workcell_of(plan: Plan, given: str | None) -> Workcell:
-    """The workcell of a plan: the given one, or else the shipped one with the name in the plan.
-
-    Raises:
-        InputError: neither is there, or the given file is broken.
-    """
-    from takeapart.files import load_workcell
-
-    try:
-        return load_workcell(given or plan.workcell)
-    except UnknownNameError as error:
-        if given:
-            raise
-        raise InputError(
-            f"the plan's workcell {plan.workcell!r} is not shipped; give it with --workcell FILE.toml"
-        ) from error
 
 
 def print_verdict(outcome: VerificationReport) -> None:
@@ -117,7 +106,7 @@ def print_verdict(outcome: VerificationReport) -> None:
 
 @click.command(
     short_help="Read a plan backwards: the assembly plan.",
-    epilog="Example: takeapart assemble product.plan.json --out product.assembly-plan.json",
+    epilog=examples("takeapart assemble product.plan.json --out product.assembly-plan.json"),
 )
 @click.argument("plan", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The inverted plan file.")
@@ -128,9 +117,10 @@ def assemble(plan: Path, out: Path, as_json: bool) -> None:
     Of a plan for disassembly this is the plan for assembly, and the other way round.
     """
     from takeapart.files import load_plan, save_plan
+    from takeapart.sources import with_sources_moved
 
     require_output(out, plan)
-    inverted = load_plan(plan).inverted()
+    inverted = with_sources_moved(load_plan(plan).inverted(), plan, out)
     save_plan(inverted, out)
     if as_json:
         print_json({"file": str(out), **plan_summary(inverted)})

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from takeapart.cli_output import EXIT_ERROR, FILE, json_option, note, print_json, require_output
+from takeapart.cli_output import (
+    ASSEMBLY_HELP,
+    EXIT_ERROR,
+    FILE,
+    WORKCELL_HELP,
+    examples,
+    json_option,
+    note,
+    print_json,
+    require_output,
+)
 from takeapart.errors import InputError, TakeapartError
 
 if TYPE_CHECKING:
@@ -24,12 +34,12 @@ WATCH_PERIOD = 0.5  # s
 
 @click.command(
     short_help="Show an assembly, a plan or a run in the browser.",
-    epilog="Examples: takeapart view product.plan.json; takeapart view product.plan.json --html plan.html",
+    epilog=examples("takeapart view product.plan.json", "takeapart view product.plan.json --html plan.html"),
 )
 @click.argument("file", type=FILE)
 @click.option("--html", type=FILE, metavar="FILE", help="Write a page that plays without a server, instead of serving.")
-@click.option("--assembly", type=FILE, help="The assembly of a plan.  [default: a shipped one with the plan's hash]")
-@click.option("--workcell", metavar="NAME|FILE.toml", help="The workcell.  [default: that of the plan, or panda]")
+@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
+@click.option("--workcell", metavar="NAME|FILE.toml", help=WORKCELL_HELP)
 @click.option("--port", type=click.IntRange(1024, 65535), help="Of the local address.  [default: one that is free]")
 @click.option("--open", "open_browser", is_flag=True, help="Also open the page in the default browser.")
 @json_option

@@ -166,16 +166,16 @@ def _layout(value: object, indent: int) -> str:
 def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file so that it holds, whatever happens, either all that it held before or all of `content`.
 
-    A temporary file in the same folder is filled, brought to the disk, and renamed.
+    A temporary file in the same folder is filled, brought to the disk, and renamed. Folders that are missing are made.
 
     Raises:
-        InputError: the folder does not exist, is read-only or full; the name stands for something that is no file.
+        InputError: the folder cannot be made, is read-only or full; the name stands for something that is no file.
     """
     where = shown(path)
     data = content.encode() if isinstance(content, str) else content
     try:
-        target = Path(os.path.realpath(path))
-        _check_target(target, where)
+        target = _target(path, where)
+        target.parent.mkdir(parents=True, exist_ok=True)
         temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.tmp")
         try:
             _fill(temporary, data, target)
@@ -191,15 +191,43 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
         raise InputError(f"cannot be written: {cause}", where) from None
 
 
-def _check_target(target: Path, where: str) -> None:
-    if not target.parent.is_dir():
-        raise InputError(f"cannot be written: there is no folder {shown(target.parent)}; make it first", where)
-    if target.is_dir():
+def require_writable(path: str | os.PathLike[str]) -> None:
+    """Finds out, before the work starts, whether `write_atomically` could write a file; nothing is left behind.
+
+    Raises:
+        InputError: it could not: a folder is no folder or closed, the name is too long or stands for something else.
+    """
+    where = shown(path)
+    try:
+        target = _target(path, where)
+        folder = target.parent
+        while not folder.exists():
+            folder = folder.parent
+        if not folder.is_dir():
+            raise InputError(f"cannot be written: {shown(folder)} is a file, not a folder", where)
+        probe = folder / f".{target.name[:100]}.{secrets.token_hex(6)}.tmp"
+        os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+        os.unlink(probe)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be written: {reason(error)}", where) from None
+
+
+def _target(path: str | os.PathLike[str], where: str) -> Path:
+    """The file behind all links, if one may be written there."""
+    if os.fspath(path).endswith(os.sep):
+        raise InputError("cannot be written: the name ends in '/' and stands for a folder; give that of a file", where)
+    target = Path(os.path.realpath(path))
+    try:
+        mode = os.stat(target).st_mode
+    except FileNotFoundError:
+        return target
+    if stat.S_ISDIR(mode):
         raise InputError("cannot be written: it is a folder; give the name of a file", where)
-    if target.exists() and not target.is_file():  # replacing a device would be worse than refusing it
+    if not stat.S_ISREG(mode):  # replacing a device would be worse than refusing it
         raise InputError("cannot be written: it is not a regular file", where)
-    if target.exists() and not os.access(target, os.W_OK):
+    if not os.access(target, os.W_OK):
         raise InputError("cannot be written: the file is read-only", where)
+    return target
 
 
 def _fill(temporary: Path, data: bytes, target: Path) -> None:

@@ -29,6 +29,7 @@ __all__ = [
     "workcell_hash",
 ]
 
+WORKCELL_ENDING = ".toml"  # a text with another ending is the name of a shipped workcell
 MAXIMUM_ASSEMBLY_BYTES = 8 * 2**20
 MAXIMUM_PLAN_BYTES = 64 * 2**20
 MAXIMUM_WORKCELL_BYTES = 64 * 2**10
@@ -139,7 +140,7 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
         InputError: one line that names the file, the place inside it, the value, and what is valid.
     """
     text = os.fspath(name_or_path)
-    if not text.endswith(".toml"):
+    if not text.endswith(WORKCELL_ENDING):
         shipped = {file.stem: file for file in data_path("workcells").glob("*.toml")}
         if text not in shipped:
             raise UnknownNameError("workcell", _nameable(text), [*shipped, "a path that ends in .toml"])

@@ -7,12 +7,17 @@ from pathlib import Path
 
 from takeapart.assembly import Assembly
 from takeapart.documents import read_json
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.files import MAXIMUM_PLAN_BYTES, data_path, load_assembly, load_plan, load_workcell
+from takeapart.errors import InputError
+from takeapart.files import (
+    MAXIMUM_PLAN_BYTES,
+    load_assembly,
+    load_plan,
+    load_workcell,
+)
 from takeapart.messages import shown
 from takeapart.plan import Plan
 from takeapart.run import MAXIMUM_BYTES, PLAN, RUN
-from takeapart.serialization import assembly_hash
+from takeapart.sources import assembly_of_hash, source_assembly, source_workcell, workcell_of_hash
 from takeapart.workcell import Workcell
 
 DEFAULT_WORKCELL = "panda"
@@ -42,8 +47,8 @@ def load_subject(path: Path, assembly: Path | None = None, workcell: str | None 
 
     Args:
         path: of the file or directory.
-        assembly: file of the plan's assembly; by default the shipped one with the plan's hash.
-        workcell: name or file; by default the one that the plan names, or "panda" for an assembly.
+        assembly: file of the plan's assembly; by default the one with the plan's hash, beside it or shipped.
+        workcell: name or file; by default the one that the plan was made for, or "panda" for an assembly.
 
     Raises:
         InputError: one line that names the file, the place inside it, and what is valid.
@@ -61,8 +66,9 @@ def load_subject(path: Path, assembly: Path | None = None, workcell: str | None 
             "holds neither a plan ('takeapart/plan') nor an assembly ('takeapart/assembly')", f"{shown(path)}: format"
         )
     plan = load_plan(path)
-    product = _assembly(plan.assembly, plan.hashes["assembly"], assembly, shown(path))
-    return Subject(path, product, _workcell(plan.workcell, workcell, shown(path)), plan)
+    product = load_assembly(assembly) if assembly else source_assembly(plan, [path.parent], shown(path))
+    cell = load_workcell(workcell) if workcell else source_workcell(plan, [path.parent], shown(path))
+    return Subject(path, product, cell, plan)
 
 
 def _run(folder: Path, assembly: Path | None, workcell: str | None) -> Subject:
@@ -73,32 +79,11 @@ def _run(folder: Path, assembly: Path | None, workcell: str | None) -> Subject:
     try:
         assert isinstance(document, dict)
         name, digest = str(document["assembly"]["name"]), str(document["assembly"]["hash"])
-        cell = str(document["workcell"]["name"])
+        cell, cell_digest = str(document["workcell"]["name"]), str(document["workcell"]["hash"])
     except (AssertionError, KeyError, TypeError):
         raise InputError("does not say for which assembly and workcell the run is", f"{where}/{RUN}") from None
     plan = load_plan(folder / PLAN) if (folder / PLAN).exists() else None
-    return Subject(folder, _assembly(name, digest, assembly, where), _workcell(cell, workcell, where), plan, folder)
-
-
-def _assembly(name: str, digest: str, given: Path | None, where: str) -> Assembly:
-    if given is not None:
-        return load_assembly(given)
-    likely = sorted(data_path(".").glob("*/*.json"), key=lambda file: (file.stem not in name, file))
-    for file in likely:  # reading all takes seconds
-        found = load_assembly(file)
-        if found.name == name and assembly_hash(found) == digest:
-            return found
-    raise InputError(
-        f"was made for assembly {name!r}; none of this hash is shipped, give it with --assembly FILE", where
-    )
-
-
-def _workcell(name: str, given: str | None, where: str) -> Workcell:
-    try:
-        return load_workcell(given or name)
-    except UnknownNameError as error:
-        if given:
-            raise
-        raise InputError(
-            f"the plan's workcell {name!r} is not shipped; give it with --workcell FILE.toml", where
-        ) from error
+    around = [folder, folder.absolute().parent]
+    product = load_assembly(assembly) if assembly else assembly_of_hash(name, digest, around, where)
+    found = load_workcell(workcell) if workcell else workcell_of_hash(cell, cell_digest, around, where)
+    return Subject(folder, product, found, plan, folder)
