@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import io
 import itertools
 import json
 import os
@@ -15,6 +17,7 @@ from typing import Any
 import click
 import pytest
 from click.testing import CliRunner, Result
+from rich.console import Console
 
 import takeapart
 from example_documents import snapshot
@@ -22,6 +25,7 @@ from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
 from takeapart import cli_compile, cli_generate, cli_plan, compilation, files, planning, profiles
 from takeapart.assembly import Assembly
 from takeapart.cli import main
+from takeapart.cli_output import progress_of
 from takeapart.compilation import is_compiled
 from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
 from takeapart.removal.planner import RemovalPlanner
@@ -222,6 +226,17 @@ def test_every_option_is_explained() -> None:
     assert all(name in run("--help").stdout for name in main.list_commands(context))
 
 
+def test_help_pages_keep_their_lines_and_end_with_an_example() -> None:
+    for name in (*(each for each in main.commands if each != "reproduce"), "reproduce paper", "reproduce beyond"):
+        text = run(*name.split(), "--help").stdout
+        assert "\\b" not in text and "\b" not in text and "``" not in text
+        shown = text[text.index("  Example") :].splitlines()[1:]
+        assert shown and all(line.startswith("    takeapart ") for line in shown), name
+    text = run("--help").stdout
+    assert "\\b" not in text and "\b" not in text
+    assert "\n    takeapart demo\n" in text and "\n    3    no feasible order\n" in text
+
+
 def test_no_command_prints_the_help() -> None:
     assert run().stdout == run("--help").stdout
 
@@ -245,6 +260,49 @@ def test_plan_writes_and_prints(folder: Path) -> None:
     assert "proved gap" in result.stdout
     assert "sequence gap 0.0%" in result.stdout
     assert "\x1b" not in result.stdout
+
+
+def test_no_time_limit_says_so(folder: Path) -> None:
+    done = plan("two-bars.json", "--seconds", "inf", "--search", "greedy")
+    assert done.exit_code == 0
+    assert done.stderr == "--seconds inf: no time limit; Ctrl-C ends the search and keeps the best plan so far\n"
+
+
+def test_commands_find_what_a_plan_was_made_from_also_after_a_move(folder: Path) -> None:
+    assert plan("two-bars.json", "--search", "greedy", "--out", "made/plan.json").exit_code == 0
+    there = folder.with_name(f"{folder.name}-moved")
+    folder.rename(there)
+    for file in (there / "two-bars.json", there / "cell.toml"):
+        file.rename(there / "made" / f"renamed{file.suffix}")  # now beside the plan, not where the plan names them
+    (there / "elsewhere").mkdir()
+    os.chdir(there / "elsewhere")
+    assert "129 x 20 x 20" in run("show", "../made/plan.json").stdout
+    assert run("report", "../made/plan.json", "--out", "report.html").exit_code == 0
+    assert run("assemble", "../made/plan.json", "--out", "back.json").exit_code == 0
+    assert "129 x 20 x 20" not in run("show", "back.json").stdout
+    if importlib.util.find_spec("mujoco"):
+        assert run("verify", "../made/plan.json", "--no-physics").exit_code == 0
+
+
+def test_what_a_file_states_is_not_shown_as_a_fact(folder: Path) -> None:
+    made = plan("three-bars.json").stdout
+    assert "relative to the paths the planner found" in made and "not verified" not in made
+    shown = run("show", "three-bars.plan.json").stdout
+    assert "not verified         bounds, counts, seed and search are as stated by the file" in shown
+    assert "as stated by the file" in json.loads(run("show", "three-bars.plan.json", "--json").stdout)["stated"]
+
+
+def test_progress_fits_in_80_columns() -> None:
+    console = Console(width=80, file=io.StringIO(), force_terminal=True)
+    progress = progress_of(console)
+    text = "best 14.123 m, 12345 queries, bound 13.900 m"
+    progress.add_task(f"planning {'profiles-' * 9}, exact", total=2, text=text, completed=1)
+    with console.capture() as capture:
+        console.print(*progress.get_renderables())
+    lines = capture.get().splitlines()
+    plain = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines]
+    assert all(len(line) <= 80 for line in plain)
+    assert any(text in line for line in plain) and any("0:00:00" in line and "…" in line for line in plain)
 
 
 def test_the_same_seed_gives_the_same_file(folder: Path) -> None:

@@ -30,7 +30,7 @@ def run(*arguments: str) -> Result:
         (["paper", "--quack"], "No such option '--quack'"),
         (["beyond", "--guide", "none.safetensors"], "Missing argument 'ASSEMBLIES...'"),
         (["beyond", "no.json", "--guide", "no.safetensors"], "no.json: there is no such file"),
-        (["beyond", "two.json", "--guide", "no.safetensors"], "no.safetensors: cannot be read: no such file"),
+        (["beyond", "two.json", "--guide", "no.safetensors"], "no.safetensors: there is no such file"),
         (["everything"], "No such command 'everything'"),
     ],
 )

@@ -13,7 +13,17 @@ from synthetic import SyntheticProblem, random_problem
 from takeapart.assembly import Assembly
 from takeapart.errors import InputError
 from takeapart.experiments import comparison
-from takeapart.experiments.comparison import SEARCHES, Comparison, Outcome, compare, curve, search_by_name, summary
+from takeapart.experiments.comparison import (
+    SEARCHES,
+    Comparison,
+    Outcome,
+    comma_separated,
+    compare,
+    curve,
+    search_by_name,
+    summary,
+    table,
+)
 from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.search.result import Progress
 
@@ -100,3 +110,13 @@ def test_what_was_kept_is_not_run_again(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_plot_is_drawn(tmp_path: Path) -> None:
     comparison.plot(OUTCOMES, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_run_has_no_interval_and_no_run_no_mean() -> None:
+    (solved,) = summary([outcome("a", "x", 0, (3, 5.0))])
+    text = table([solved, *summary([outcome("b", "x", 0)])])
+    assert "nan" not in text and "±" not in text
+    assert "| a | 1 of 1 | 5.000 | 1.0000 |" in text and "| b | 0 of 1 | - | - |" in text
+    header, row = comma_separated([solved]).splitlines()
+    assert dict(zip(header.split(","), row.split(","), strict=True))["half_width"] == ""
+    assert " ± " in table(summary(OUTCOMES))

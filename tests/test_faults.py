@@ -591,18 +591,25 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 COMMAND = ["plan", "three.json", "--workcell", "cell.toml", "--run", "runs/a"]
 
 
+def without_sources(file: str) -> dict[str, object]:
+    """What a plan file holds but for the names of its sources, which a run does not keep."""
+    made = load_plan(file)
+    assert made.extra["sources"] == {"assembly": "three.json", "workcell": "cell.toml"}
+    return plan_document(replace(made, extra={}))
+
+
 def test_the_command_continues_and_reprints(folder: Path) -> None:
     with counted(2):
         assert isinstance(CliRunner().invoke(main, COMMAND).exception, CutOffError)
     continued = CliRunner().invoke(main, COMMAND)
     assert continued.exit_code == 0
     assert "continuing the run in runs/a, which has 2 answers of the planner" in continued.output
-    assert (folder / "three.plan.json").read_bytes() == (folder / "runs/a/plan.json").read_bytes()
+    assert without_sources("three.plan.json") == plan_document(load_plan("runs/a/plan.json"))
     (folder / "three.plan.json").unlink()
     with counted(0):
         again = CliRunner().invoke(main, COMMAND)
     assert again.exit_code == 0 and "has ended" in again.output
-    assert (folder / "three.plan.json").read_bytes() == (folder / "runs/a/plan.json").read_bytes()
+    assert without_sources("three.plan.json") == plan_document(load_plan("runs/a/plan.json"))
     other = CliRunner().invoke(main, [*COMMAND, "--seed", "3"])
     assert other.exit_code == 2 and other.output == (
         "error: runs/a: this run was started otherwise: seed was 0, now 3; take another folder\n"

@@ -36,6 +36,7 @@ schemas
 documents
 serialization
 files
+sources
 guide
 run*
 planning

@@ -213,7 +213,7 @@ def test_corrupted_plans_are_refused_in_one_line(tmp_path: Path, folder: Path) -
         (["--out", "x.gif", "--step", "1"], "an animation shows all steps"),
         (["--out", "x.png", "--sheet"], "holds no plan"),
         (["--out", "x.png", "--sheet", "--step", "1"], "give one of both"),
-        (["--out", "nowhere/"], "unknown ending"),
+        (["--out", "nowhere/"], "there is no such folder"),
     ],
 )
 def test_misuse_is_told_in_one_line(

@@ -125,7 +125,7 @@ def test_graph_puts_a_part_below_those_it_waits_for() -> None:
     assert set(height) == {"beam", "stub", "rear"} and height["stub"] == height["rear"] < height["beam"]
 
 
-@pytest.mark.parametrize(("name", "message"), [("x.txt", "unknown ending"), ("no/x.html", "no folder")])
+@pytest.mark.parametrize(("name", "message"), [("x.txt", "unknown ending"), ("plan.json/x.html", "not a directory")])
 def test_misuse_is_told_in_one_line(name: str, message: str, tmp_path: Path, folder: Path) -> None:
     given = write_files(tmp_path, folder)
     done = CliRunner().invoke(main, ["report", str(tmp_path / "plan.json"), "--out", str(tmp_path / name), *given])

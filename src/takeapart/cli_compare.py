@@ -55,6 +55,7 @@ def compare(
     Writes table.md, table.csv and lengths.png (best length against queries). Every run is kept at once: given again,
     the same command goes on where it was stopped.
     """
+    from takeapart.documents import write_atomically
     from takeapart.experiments import comparison as experiment
     from takeapart.files import load_assembly, load_workcell
 
@@ -69,13 +70,8 @@ def compare(
     with progress_bar("comparing") as update:
         outcomes = list(experiment.compare(assemblies, cell, settings, out, update))
     lines = experiment.summary(outcomes)
-    (out / "table.md").write_text(experiment.table(lines) + "\n", encoding="utf-8")
-    columns = list(asdict(lines[0]))
-    rows = [
-        ",".join(f'"{value}"' if isinstance(value, str) else f"{value}" for value in asdict(each).values())
-        for each in lines
-    ]
-    (out / "table.csv").write_text("\n".join([",".join(columns), *rows]) + "\n", encoding="utf-8")
+    write_atomically(out / "table.md", experiment.table(lines) + "\n")
+    write_atomically(out / "table.csv", experiment.comma_separated(lines))
     try:
         experiment.plot(outcomes, out / "lengths.png")
     except InputError as error:
@@ -85,4 +81,6 @@ def compare(
         print_json({"folder": str(out), "queries": budget_queries, "searches": known})
         return
     click.echo(experiment.table(lines))
+    if all(each.runs == 1 for each in lines):
+        note("one run of each search says little; --seeds 3 or a folder of assemblies gives intervals")
     click.echo(f"written to {out}: table.md, table.csv, lengths.png")

@@ -14,6 +14,14 @@ if TYPE_CHECKING:
     from takeapart.planning import Infeasible
 
 
+PROVED = "over all grasps that the planner tries"
+RELATIVE = "relative to the paths the planner found"
+BELIEVE = "the proved gap, of the whole plan; the sequence gap is only that of the order for these paths"
+STATED = (
+    "bounds, counts, seed and search are as stated by the file; takeapart verify checks what it can and lists the rest"
+)
+
+
 def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:
     """Writes a plan, or says why there is none and ends the command."""
     from takeapart.files import save_plan
@@ -64,12 +72,13 @@ def plan_summary(plan: Plan) -> dict[str, object]:
     }
 
 
-def print_plan(plan: Plan, sizes: dict[str, str] | None = None) -> None:
+def print_plan(plan: Plan, sizes: dict[str, str] | None = None, stated: bool = False) -> None:
     """The order of a plan with the gripper path of every part, and the totals.
 
     Args:
         plan: what is printed.
         sizes: of the parts by their names, if the assembly is known.
+        stated: whether the plan comes from a file, which may state anything.
     """
     columns = [">step", "part", *(["size, mm"] if sizes else []), ">gripper path", ">waypoints"]
     rows = [
@@ -87,14 +96,18 @@ def print_plan(plan: Plan, sizes: dict[str, str] | None = None) -> None:
     click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{_gap_text(plan, plan.straight_line_bound)}")
     if plan.sequence_bound is not None:
         click.echo(f"sequence bound       {metres(plan.sequence_bound)}{_gap_text(plan, plan.sequence_bound)}")
+        click.echo(f"which gap to believe {BELIEVE}")
     counts = plan.counts
     click.echo(
         f"search               {plan.search.get('name', 'unknown')}, seed {plan.seed}: {plan.seconds:.1f} s, "
         f"{counts.get('removal_queries', 0)} removal queries, {counts.get('motion_plans', 0)} motion plans"
     )
+    if stated:
+        click.echo(f"not verified         {STATED}")
 
 
 def _gap_text(plan: Plan, bound: float) -> str:
     share = gap(plan.total_length, bound)
     kind = "sequence gap" if bound == plan.sequence_bound else "proved gap"
-    return "" if share is None else f"  ({kind} {share:.1%})"
+    basis = RELATIVE if bound == plan.sequence_bound else PROVED
+    return "" if share is None else f"  ({kind} {share:.1%}, {basis})"

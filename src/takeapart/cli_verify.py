@@ -125,5 +125,5 @@ def assemble(plan: Path, out: Path, as_json: bool) -> None:
     if as_json:
         print_json({"file": str(out), **plan_summary(inverted)})
         return
-    print_plan(inverted)
+    print_plan(inverted, stated=True)
     click.echo(f"written to           {out}")

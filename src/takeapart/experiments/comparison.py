@@ -44,6 +44,7 @@ from takeapart.workcell import Workcell
 
 PATIENCE = 2000  # episodes without a query or a gain, after which a search has nothing left to do
 MAXIMUM_WIDTH = 2**16
+LEAST_RANGE = 0.01  # of the ratios that the plot shows: differences far below one percent look like none
 ALL_QUERIES = RefinementOptions(passes=10**6, worth=0.0)  # refines until the budget is spent
 SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "exact")
 
@@ -297,8 +298,8 @@ def table(lines: Sequence[Line]) -> str:
         [
             each.search,
             f"{each.solved} of {each.runs}",
-            f"{each.length:.3f}",
-            f"{each.ratio:.4f} ± {each.half_width:.4f}",
+            f"{each.length:.3f}" if each.solved else "-",
+            _with_interval(each),
             each.shortest,
             f"{each.queries:.0f}",
             f"{each.motion_plans:.0f}",
@@ -307,6 +308,22 @@ def table(lines: Sequence[Line]) -> str:
         for each in lines
     ]
     return markdown_table(header, rows)
+
+
+def _with_interval(line: Line) -> str:
+    """Mean and half of its interval; one run has none, and no run no mean."""
+    if not line.solved:
+        return "-"
+    return f"{line.ratio:.4f}" + (f" ± {line.half_width:.4f}" if math.isfinite(line.half_width) else "")
+
+
+def comma_separated(lines: Sequence[Line]) -> str:
+    """As CSV; what is not known is empty."""
+    rows = [
+        ",".join(f'"{value}"' if isinstance(value, str) else "" if value != value else str(value) for value in row)
+        for row in (asdict(each).values() for each in lines)
+    ]
+    return "\n".join([",".join(asdict(lines[0])), *rows]) + "\n"
 
 
 def curve(outcomes: Sequence[Outcome], search: str, queries: Array) -> tuple[Array, Array]:
@@ -326,7 +343,7 @@ def curve(outcomes: Sequence[Outcome], search: str, queries: Array) -> tuple[Arr
 
 
 def plot(outcomes: Sequence[Outcome], file: Path) -> None:
-    """Best length against removal queries: one curve with its band for each search.
+    """Best length against removal queries: one curve for each search, with its band where there are several runs.
 
     Raises:
         InputError: the plotting library is not installed.
@@ -337,16 +354,20 @@ def plot(outcomes: Sequence[Outcome], file: Path) -> None:
         raise InputError("needs matplotlib; install it with: pip install 'takeapart[view]'", str(file)) from None
     queries = np.arange(1.0, max(each.queries for each in outcomes) + 1)
     figure = Figure(figsize=(8, 5), layout="constrained")
-    axes = figure.subplots()
+    axes, banded = figure.subplots(), False
     for name in dict.fromkeys(each.search for each in outcomes):
         mean, half = curve(outcomes, name, queries)
         (line,) = axes.step(queries, mean, where="post", label=name)
-        axes.fill_between(
-            queries, mean - half, mean + half, step="post", alpha=0.2, color=line.get_color(), linewidth=0
-        )
+        if np.isfinite(half).any():
+            axes.fill_between(
+                queries, mean - half, mean + half, step="post", alpha=0.2, color=line.get_color(), linewidth=0
+            )
+            banded = True
     axes.set_xlabel("removal queries")
     axes.set_ylabel("length / shortest length known of the assembly")
-    axes.set_title("Best plan so far: mean and 95 % band over assemblies and seeds")
+    axes.set_title("Best plan so far" + (": mean and 95 % band over assemblies and seeds" if banded else ", one run"))
+    axes.ticklabel_format(axis="y", useOffset=False)
+    axes.set_ylim(1 - LEAST_RANGE / 10, max(axes.get_ylim()[1], 1 + LEAST_RANGE))
     axes.legend()
     figure.savefig(file, dpi=150)
 
