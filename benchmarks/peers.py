@@ -37,13 +37,14 @@ from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.scene import Scene, is_free, new_scene
 from takeapart.motion.smooth import shorten
 from takeapart.removal.masks import flags_of
-from takeapart.robot.kinematics import tool_poses
+from takeapart.robot.kinematics import tool_steps
 from takeapart.robot.model import RobotModel, load_robot
 from takeapart.robot.world import owner_fields, with_field
 
 STEP = 0.001  # m, see `piece_free`; what peers are given in radians is below
 SPACING = 0.05  # m, from row to row of our paths, as the removal planner has it
 RADIANS = 0.02  # spacing of the peers' checks along an edge
+CHECKED = ("spheres", "table")  # pairs of links that our checks look at
 JOINTS = [f"panda_joint{j}" for j in range(1, 8)]
 
 Array = Any
@@ -92,7 +93,8 @@ def situations(robot: RobotModel, sources: Sequence[str], rng: np.random.Generat
             world = with_field(planner.world, fields[number], present)
             scene = new_scene(robot.arm, hand.held, world, present, workcell.clearance, STEP, work)
             start = np.ascontiguousarray(branches[int(rng.integers(len(branches)))].rows[-1])
-            goals = planner.goals.free(scene, start[None], work)
+            near = planner.goals.neighbours(branches, work)
+            goals = planner.goals.free(near, part, hand, others, 1, work)
             if not len(goals):
                 continue
             boxes = []
@@ -197,12 +199,13 @@ class Plainmp(CalledFromPython):
 
         set_log_level_none()
         arm = robot.arm
-        urdf = robot_file("urdf")
+        urdf = robot_urdf()
         spheres: dict[int, list[tuple[Array, float]]] = {}
         for body, frame in enumerate(arm.body_frame):
             for s in range(arm.body_start[body], arm.body_start[body + 1]):
                 spheres.setdefault(int(frame), []).append((arm.sphere_center[s], float(arm.sphere_radius[s])))
-        pairs = sorted({tuple(sorted((int(arm.body_frame[a]), int(arm.body_frame[b])))) for a, b in arm.self_pairs})
+        frames = [sorted((int(arm.body_frame[pair.first]), int(arm.body_frame[pair.second]))) for pair in robot.pairs]
+        pairs = sorted({(a, b) for (a, b), pair in zip(frames, robot.pairs, strict=True) if pair.treatment in CHECKED})
 
         class Spec(PandaSpec):  # type: ignore[misc]
             def urdf_path_override(self) -> Path:
@@ -267,22 +270,29 @@ class Plainmp(CalledFromPython):
 class Roboplan(CalledFromPython):
     name = "roboplan"
 
-    def __init__(self) -> None:
+    def __init__(self, robot: RobotModel) -> None:
         from roboplan import core, rrt
 
         self.core, self.rrt, self.count = core, rrt, 0
+        hand, fingers = robot.bodies[-1], ["panda_leftfinger", "panda_rightfinger"]
+        unchecked = [pair for pair in robot.pairs if pair.treatment not in CHECKED]
+        self.unchecked = [(robot.bodies[pair.first], robot.bodies[pair.second]) for pair in unchecked]
+        self.unchecked += [(hand, fingers[0]), (hand, fingers[1]), (fingers[0], fingers[1])]
+        # Our fingers are checked against what they carry and against the links that it may touch, not their own.
+        self.unchecked += [(f"panda_link{link}", finger) for link in (6, 7) for finger in fingers]
 
     def enter(self, situation: Situation) -> None:
         core, rrt = self.core, self.rrt
         self.count += 1
-        urdf = robot_file("urdf")
+        urdf = robot_urdf()
         # As links of the robot: boxes that are added later are checked against each other, and cost seconds.
         links = _link("obstacles", "panda_link0", situation.boxes) + _link("load", "panda_link7", situation.held)
         model = urdf.read_text().replace("</robot>", f"{links}</robot>")
         description = core.loadUrdfSceneDescriptionFromXml(model, [str(urdf.parents[4])])
         self.scene = core.Scene(f"scene{self.count}", description)
-        self.scene.importSrdf(robot_file("srdf").read_text())
         self.scene.addGroup("free_arm", JOINTS)
+        for first, second in self.unchecked:
+            self.scene.setCollisions(first, second, False)
         near = ["panda_link7", "panda_hand", "panda_leftfinger", "panda_rightfinger"]
         for first, second in [("obstacles", "panda_link0"), *(("load", name) for name in near)]:
             self.scene.setCollisions(first, second, False)
@@ -366,10 +376,10 @@ class Ompl(CalledFromPython):
         return np.array([[state[j] for j in range(7)] for state in states])
 
 
-def robot_file(kind: str) -> Path:
-    """URDF or SRDF of the arm."""
+def robot_urdf() -> Path:
+    """Model file of the arm."""
     description = load_workcell("panda").description
-    return description.path(getattr(description, kind))
+    return description.path(description.urdf)
 
 
 def _link(name: str, parent: str, boxes: Sequence[tuple[Array, Array]]) -> str:
@@ -404,9 +414,9 @@ def tool_length(robot: RobotModel, path: Array) -> float:
         count = max(1, int(np.ceil(np.abs(b - a).max() / np.radians(1))))
         rows.append(a + (b - a) * np.linspace(0, 1, count + 1)[1:, None])
     dense_rows = np.ascontiguousarray(np.concatenate(rows))
-    positions, rotations = np.empty((len(dense_rows), 3)), np.empty((len(dense_rows), 3, 3))
-    tool_poses(robot.arm, dense_rows, robot.workspace(), positions, rotations)
-    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    steps = np.empty(len(dense_rows) - 1)
+    tool_steps(robot.arm, dense_rows, robot.workspace(), steps)
+    return float(steps.sum())
 
 
 @dataclass
@@ -444,7 +454,7 @@ def peers(robot: RobotModel) -> tuple[list[Planner], list[str]]:
     """Planners that are there, ours first, and names of those that are missing."""
     makers: dict[str, tuple[str, Callable[[], Planner]]] = {
         "plainmp": ("plainmp", lambda: Plainmp(robot)),
-        "roboplan": ("roboplan", lambda: Roboplan()),
+        "roboplan": ("roboplan", lambda: Roboplan(robot)),
         "ompl": ("OMPL", lambda: Ompl(robot)),
     }
     found: list[Planner] = [Ours()]

@@ -72,6 +72,7 @@ def row(kind: str, found: Sequence[Closing]) -> list[str]:
 def main() -> None:
     """Prints the table; with --document it replaces the one there."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, help="assemblies of each data set; all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--document", type=Path)
     arguments = parser.parse_args()
@@ -81,6 +82,7 @@ def main() -> None:
     rows = []
     for kind in ("single", "double"):
         names = [f"{kind}/{file.stem}" for file in sorted(data_path(kind).glob("*.json"))]
+        names = names[: arguments.count]
         rows.append(row(kind, [close(name, workcell, robot, arguments.seed) for name in names]))
     header = ["set", "sequence gap 0", "seconds: median, range", "removal queries: median, range", "length, mean"]
     text = markdown_table([*header, "proved gap, median"], rows)

@@ -174,12 +174,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("vanilla", type=Path, help="folder with a folder of experience per assembly")
     parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
+    parser.add_argument("--count", type=int, help="assemblies of each set; all by default")
     parser.add_argument("--folds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--document", type=Path)
     arguments = parser.parse_args()
-    names = [f"{kind}/{file.stem}" for kind in arguments.sets for file in sorted(data_path(kind).glob("*.json"))]
+    files = [
+        (kind, file) for kind in arguments.sets for file in sorted(data_path(kind).glob("*.json"))[: arguments.count]
+    ]
+    names = [f"{kind}/{file.stem}" for kind, file in files]
     workcell = load_workcell("panda")
     robot = load_robot(workcell)
     with TemporaryDirectory() as temporary:

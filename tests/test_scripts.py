@@ -1,0 +1,89 @@
+"""Every script of benchmarks and experiments runs, in small, so that none rots unseen. Figures are not judged here."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXPERIMENTS = ROOT / "src" / "takeapart" / "experiments"
+BENCHMARKS = ROOT / "benchmarks"
+
+# Of each script what makes it small, and the document, if any, that it fills in.
+SMALL: dict[str, tuple[str, str]] = {
+    "clearance_cost": ("--assemblies single/01 --processes 1", "verification.md --document"),
+    "closing": ("--count 1", "benchmarks.md --document"),
+    "growth": ("--seconds 2 --parts 21 --out {folder}/growth", "benchmarks.md --document"),
+    "guide_speed": ("--episodes 1 --repeats 3", "guide.md --document"),
+    "path_quality": ("--assemblies single/01 --each 1 --seconds 1 --processes 1", "benchmarks.md --document"),
+    "peers": ("--count 1 --seconds 0.01 --sources single/01", "benchmarks.md --document"),
+    "pictures": ("--folder {folder}", ""),
+    "query_profile": ("--assemblies single/01 --each 4", "benchmarks.md --document"),
+    "redundancy": ("--assemblies 1 --grasps 10 --solutions 20", ""),
+    "speed": ("--count 1", "benchmarks.md --write"),
+    "teachers": ("{vanilla} --sets single --count 2 --folds 2 --steps 20", "guide.md --document"),
+    "verify_all": (
+        "--assemblies single/01 --random-seeds 1 --searches random greedy --processes 1 --out {folder}/verified",
+        "verification.md --document",
+    ),
+}
+
+
+def scripts() -> dict[str, Path]:
+    """Files that can be run, by their name."""
+    files = [*EXPERIMENTS.glob("*.py"), *BENCHMARKS.glob("*.py")]
+    return {file.stem: file for file in files if '__name__ == "__main__"' in file.read_text(encoding="utf-8")}
+
+
+def test_no_script_is_forgotten() -> None:
+    assert sorted(scripts()) == sorted(SMALL)
+
+
+def run(command: list[str]) -> str:
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def vanilla(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Experience of tree search on two assemblies."""
+    folder = tmp_path_factory.mktemp("vanilla")
+    for number in ("01", "02"):
+        search = ["--search", "mcts", "--episodes", "1", "--experience", str(folder / f"single-{number}")]
+        product = str(ROOT / "data" / "single" / f"{number}.json")
+        run([sys.executable, "-m", "takeapart", "plan", product, *search, "--out", str(folder / f"{number}.plan.json")])
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(SMALL))
+def test_script_runs_in_small(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    options, document = SMALL[name]
+    if name in ("teachers", "guide_speed"):
+        pytest.importorskip("torch", reason="the scripts of the guide need the extra takeapart[guide]")
+    if name in ("verify_all", "clearance_cost"):
+        pytest.importorskip("mujoco", reason="verification needs MuJoCo")
+    places = {"folder": str(tmp_path), "vanilla": ""}
+    if "{vanilla}" in options:
+        places["vanilla"] = str(request.getfixturevalue("vanilla"))
+    file = scripts()[name]
+    target = [str(file)] if file.parent == BENCHMARKS else ["-m", f"takeapart.experiments.{name}"]
+    command = [sys.executable, *target, *options.format(**places).split()]
+    filled = None
+    if document:
+        source, option = document.split()
+        filled = tmp_path / source
+        before = re.sub(r"\d", "0", (ROOT / "docs" / source).read_text(encoding="utf-8"))
+        filled.write_text(before, encoding="utf-8")
+        command += [option, str(filled)]
+    printed = run(command)
+    if filled is not None:
+        assert filled.read_text(encoding="utf-8") != before, "the table in the document is the old one"
+    assert printed.strip() or any(tmp_path.iterdir())
