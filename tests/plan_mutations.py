@@ -244,23 +244,21 @@ def grasp_turned(target: Target, rng: np.random.Generator) -> Corrupted:
 def grasp_oblique(target: Target, rng: np.random.Generator) -> Corrupted:
     """Grasp and path agree, but the fingers close obliquely: the last joint turns by the same angle all along."""
     k, step = _any_step(target, rng)
-    angle = float(rng.uniform(0.05, 0.4)) * (1 if step.joint_path[:, 6].mean() < 0 else -1)
-    joint_path, tool_path = _wrist_turned(step, np.full(len(step.joint_path), angle))
-    grasp = Grasp(step.grasp.center, _turned(step.grasp.orientation, angle), step.grasp.width)
-    return _changed(target, "grasp_oblique", "grasp", k, grasp=grasp, joint_path=joint_path, tool_path=tool_path)
+    angle = float(np.exp(rng.uniform(np.log(0.001), np.log(0.4)))) * (1 if step.joint_path[:, 6].mean() < 0 else -1)
+    return Corrupted("grasp_oblique", with_wrist_turned(target, k, angle), "grasp", k)
 
 
 @mutation
 def fingers_ajar(target: Target, rng: np.random.Generator) -> Corrupted:
     k, step = _any_step(target, rng)
-    grasp = replace(step.grasp, width=step.grasp.width + float(rng.uniform(0.0015, 0.01)))
+    grasp = replace(step.grasp, width=step.grasp.width + float(rng.uniform(3e-4, 0.01)))
     return _changed(target, "fingers_ajar", "finger_contact", k, grasp=grasp)
 
 
 @mutation
 def width_wrong(target: Target, rng: np.random.Generator) -> Corrupted:
     k, step = _any_step(target, rng)
-    width = step.grasp.width + float(rng.choice([-1, 1]) * rng.uniform(3e-4, 5e-3))
+    width = step.grasp.width + float(rng.choice([-1, 1]) * rng.uniform(2e-5, 5e-3))
     return _changed(target, "width_wrong", "width", k, grasp=replace(step.grasp, width=width))
 
 
@@ -341,6 +339,16 @@ def _wrist_turned(step: PlanStep, angles: Array) -> tuple[Array, Array]:
     joint_path[:, 6] += angles
     tool_path[:, 3:] = [_turned(row, angle) for row, angle in zip(tool_path[:, 3:], angles, strict=True)]
     return joint_path, tool_path
+
+
+def with_wrist_turned(target: Target, k: int, angle: float) -> Plan:
+    """The plan with the last joint turned all along a step, and the grasp with it."""
+    step = target.plan.steps[k]
+    joint_path, tool_path = _wrist_turned(step, np.full(len(step.joint_path), angle))
+    grasp = Grasp(step.grasp.center, _turned(step.grasp.orientation, angle), step.grasp.width)
+    steps = list(target.plan.steps)
+    steps[k] = replace(step, grasp=grasp, joint_path=joint_path, tool_path=tool_path)
+    return _with_steps(target.plan, steps)
 
 
 @mutation

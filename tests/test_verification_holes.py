@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mutation_table import scene_target
-from plan_mutations import MUTATIONS
+from plan_mutations import MUTATIONS, with_wrist_turned
 from takeapart import verification_physics
 from takeapart.assembly import Assembly
 from takeapart.geometry import Array
@@ -17,7 +18,7 @@ from takeapart.plan import Grasp, PlanStep
 from takeapart.verification import Verifier, stand_under_gravity, verify_plan
 from takeapart.verification_checks import NOTHING_BELOW, unsupported
 from takeapart.verification_model import mujoco
-from verification_scene import scene_assembly, scene_plan, scene_workcell
+from verification_scene import scene_assembly, scene_plan, scene_workcell, tool_rows
 
 
 @pytest.mark.parametrize("name", [name for name in MUTATIONS if not name.startswith("direction")])
@@ -90,3 +91,49 @@ def test_numbers_of_the_heading_must_be_finite() -> None:
     for change in ({"seconds": np.nan}, {"counts": {"motion_plans": -1}}, {"total_length": np.inf}):
         findings = verify_plan(replace(scene_plan(), **change), scene_assembly(), scene_workcell()).findings
         assert any(f.check == "schema" and f.message.split()[0] in ("motion_plans", *change) for f in findings)
+
+
+def test_length_is_measured_between_the_rows_too() -> None:
+    """The wrist swings to and fro over 0.8 rad: with rows 0.08 rad apart the tool travels further on its arcs than from
+    row to row, and a length of the rows says too little."""
+    step, base = scene_plan().steps[2], scene_workcell().T_world_base
+    row = len(step.joint_path) - 20
+    stated, travelled, refused = [], [], []
+    for spacing in (0.005, 0.08):
+        swing = np.interp(np.arange(0.0, 6.4, spacing), np.linspace(0.0, 6.4, 9), [0.0, -0.8] * 4 + [0.0])
+        wave = np.repeat(step.joint_path[row : row + 1], len(swing), axis=0)
+        wave[:, 5] += swing
+        ends = step.joint_path[:row], step.joint_path[row:]
+        path = np.vstack([ends[0], wave, ends[1]])
+        tool = tool_rows(path, base)
+        length = float(np.linalg.norm(np.diff(tool[:, :3], axis=0), axis=1).sum())
+        dense = np.vstack([a + (b - a) * np.arange(20)[:, None] / 20 for a, b in pairwise(path)] + [path[-1:]])
+        travelled.append(float(np.linalg.norm(np.diff(tool_rows(dense, base)[:, :3], axis=0), axis=1).sum()))
+        stated.append(length)
+        changed = replace(step, joint_path=path, tool_path=tool, length=length)
+        steps = (*scene_plan().steps[:2], changed)
+        plan = replace(scene_plan(), steps=steps, total_length=sum(each.length for each in steps))
+        findings = verify_plan(plan, scene_assembly(), scene_workcell(), physics=False).findings
+        assert not [f for f in findings if f.check in ("jump", "tool_path", "schema", "total_length")]
+        refused.append([f.depth for f in findings if f.check == "length"])
+    assert travelled[0] - stated[0] < 1e-4 < 2e-4 < travelled[1] - stated[1]
+    assert refused[0] == []
+    assert refused[1] == [pytest.approx(travelled[1] - stated[1], abs=1e-5)]
+
+
+@pytest.mark.parametrize(("angle", "accepted"), [(np.radians(0.03), True), (np.radians(0.1), False)])
+def test_fingers_close_squarely(angle: float, accepted: bool) -> None:
+    """Grasp and path agree, but the hand is turned a little about its approach."""
+    corrupted = with_wrist_turned(scene_target(), 0, float(angle))
+    findings = verify_plan(corrupted, scene_assembly(), scene_workcell(), physics=False).findings
+    assert any(f.check == "grasp" and "off the normal" in f.message for f in findings) != accepted
+
+
+@pytest.mark.parametrize(("beside", "accepted"), [(5e-5, True), (2e-4, False)])
+def test_both_fingers_touch_what_they_hold(beside: float, accepted: bool) -> None:
+    """Each finger stands this far, m, beside the part; what the width itself has to be is another check."""
+    steps = list(scene_plan().steps)
+    steps[0] = replace(steps[0], grasp=replace(steps[0].grasp, width=steps[0].grasp.width + 2 * beside))
+    plan = replace(scene_plan(), steps=tuple(steps))
+    findings = verify_plan(plan, scene_assembly(), scene_workcell(), physics=False).findings
+    assert any(f.check == "finger_contact" for f in findings) != accepted

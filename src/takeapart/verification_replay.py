@@ -98,7 +98,7 @@ class Replay:
             *check_joint_limits(step, k, scene.joint_limits),
             *check_jumps(step, k, positions, options),
             *check_tool_path(step, k, position_errors, angle_errors, options),
-            *check_true_length(step, k, positions, options),
+            *check_true_length(step, k, samples.positions, options),
             *check_start(step, k, T_world_grasp, positions[0], rotations[0], options),
             *check_lift(step, k, samples, self.workcell.lift_height, options),
             *check_goal(step, k, positions[-1], self.workcell.goal, options),
@@ -292,8 +292,8 @@ def check_tool_path(
 
 
 def check_true_length(step: PlanStep, k: int, positions: Array, options: VerificationOptions) -> list[Finding]:
-    """The stated length is what the tool really travels, positions (M, 3), m: the tolerance of the tool path must not
-    add up from row to row."""
+    """The stated length is what the tool really travels, positions (S, 3), m, along the motion between the rows too:
+    neither may tolerances of the tool path add up from row to row, nor rows be left out where the motion bends."""
     travelled = path_length(positions)
     error = abs(travelled - step.length)
     if error <= options.position_tolerance:

@@ -80,8 +80,8 @@ class VerificationOptions:
     penetration: float = 1e-4
     touching: float = 1e-3
     width_tolerance: float = 1e-5
-    square_tolerance: float = math.radians(0.5)
-    finger_gap: float = 5e-4
+    square_tolerance: float = math.radians(0.05)
+    finger_gap: float = 1e-4
     joint_jump: float = 0.1
     tool_jump: float = 0.02
     length_tolerance: float = 1e-6
