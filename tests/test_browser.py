@@ -22,7 +22,8 @@ from shown_plans import small_scene, write_files
 from takeapart.errors import InputError
 from takeapart.files import data_path, load_workcell
 from takeapart.render_scene import PlanScene
-from takeapart.viewer import Viewer, box_mesh
+from takeapart.viewer import Viewer
+from takeapart.viewer_drawing import box_mesh
 from takeapart.viewer_page import MAXIMUM_BYTES, assembled, save_page
 from takeapart.viewer_time import GRIP, TOOL_SPEED, Timeline
 

@@ -13,11 +13,12 @@ import viser
 from takeapart.assembly import Assembly
 from takeapart.plan import Plan, PlanStep
 from takeapart.removal.result import Removal
+from takeapart.render_figures import lasting_bounds
 from takeapart.render_scene import PlanScene
 from takeapart.search.result import Progress
 from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.viewer import Viewer
-from takeapart.viewer_texts import search_text
+from takeapart.viewer_texts import block, search_text, sent
 from takeapart.workcell import Workcell
 
 PERIOD = 0.5  # s, between changes of the page
@@ -94,13 +95,13 @@ class LiveSearch:
     def _panel(self) -> None:
         gui = self.viewer.server.gui
         with gui.add_folder("Search"):
-            self._text = gui.add_markdown("The search has not told anything yet.")
+            self._text = gui.add_html(sent(block("The search has not told anything yet.")))
             self._chart = gui.add_uplot(
                 self._data(),
                 (
                     viser.uplot.Series(label="s"),
                     viser.uplot.Series(label="length, m", stroke="#2f6fb0", width=2),
-                    viser.uplot.Series(label="bound, m", stroke="#d9822b", width=2),
+                    viser.uplot.Series(label="sequence bound, m", stroke="#d9822b", width=2),
                 ),
                 scales={"x": viser.uplot.Scale(time=False, auto=True), "y": viser.uplot.Scale(auto=True)},
                 aspect=1.4,
@@ -109,9 +110,9 @@ class LiveSearch:
             self._refresh(self._last)
 
     def _refresh(self, progress: Progress) -> None:
-        self._text.content = search_text(progress.length, progress.bound, progress.queries, self._rows[-1][0])
+        self._text.content = sent(search_text(progress.length, progress.bound, progress.queries, self._rows[-1][0]))
         self._chart.data = self._data()
 
     def _data(self) -> tuple[np.ndarray, ...]:
         rows = np.array(self._rows or [(0.0, math.nan, math.nan)], dtype=float)
-        return rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy()
+        return rows[:, 0].copy(), rows[:, 1].copy(), np.array(lasting_bounds(rows[:, 2].tolist()))

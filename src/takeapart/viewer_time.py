@@ -10,6 +10,10 @@ from takeapart.render_scene import FINGERS_OPEN
 
 GRIP = 0.4  # s, to close the gripper, and to open it
 TOOL_SPEED = 0.25  # m/s, as it is shown; how fast the arm may go is no matter of a plan
+PLAYBACK = (
+    "Playback time, not the arm's: a plan has no timing. It is proportional to the gripper's way "
+    "(0.25 m/s at 1x, turning counted as 5 cm per radian), with 0.4 s to grip and 0.4 s to let go."
+)
 SPEEDS = {"½x": 0.5, "1x": 1.0, "2x": 2.0, "4x": 4.0, "10x": 10.0}
 
 
@@ -39,6 +43,12 @@ class Timeline:
     def __init__(self, ways: Sequence[float], direction: str) -> None:
         self.ways, self.direction = tuple(ways), direction
         self._starts = [0.0, *accumulate(2 * GRIP + way / TOOL_SPEED for way in self.ways)]
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Numbers of the removals as they are played."""
+        steps = range(len(self.ways))
+        return tuple(steps if self.direction == "disassembly" else reversed(steps))
 
     @property
     def total(self) -> float:
