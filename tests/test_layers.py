@@ -24,6 +24,7 @@ plan
 profile_layout
 profiles
 cells
+contact
 stability
 workcell
 robot

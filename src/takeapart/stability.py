@@ -5,19 +5,18 @@ Fixed parts stand in no state, and therefore in no mask here: what they carry is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from takeapart.assembly import Assembly, Connector, members
+from takeapart.contact import TOUCHING, beyond_hull, distance, seats
 from takeapart.errors import InputError
-from takeapart.geometry import Array, OrientedBox, box_separation
+from takeapart.geometry import Array, OrientedBox
 
 STEEPEST_IN_PLANE = np.cos(np.pi / 4)  # |cosine| to the vertical above which a bar counts as being along z
 SAME_LENGTH = 1e-9  # m; edges closer than this are equally long
-TOUCHING = 1e-3 + 1e-6  # m; a connector that is further from its host or guest does not hold it (and rounding)
-DIRECTIONS = 720  # in which a centre of mass is compared with what it rests on
+BALANCED = 1e-4  # m; a centre of mass must lie at least this far inside of what carries the part
 
 
 class Stability(Protocol):
@@ -102,79 +101,81 @@ def require_support(assembly: Assembly) -> None:
             f"{assembly.name}: parts",
         )
     for i in members(assembly.root):
-        beyond = _beyond_support(assembly, i)
-        if beyond > TOUCHING:
-            raise InputError(
-                f"part {assembly.parts[i].name!r} would tip: its centre of mass lies {1e3 * beyond:.1f} mm beyond what "
-                "carries it; it must be carried on both sides of it",
-                f"{assembly.name}: parts",
-            )
+        _require_balance(assembly, i)
 
 
 def _require_contact(assembly: Assembly, connector: Connector, where: str) -> None:
-    host, guest = (assembly.parts[assembly.index[name]] for name in (connector.host, connector.guest))
-    walls = [wall.moved(host.T_world_part) for wall in connector.walls]
-    for role, part in (("host", host), ("guest", guest)):
-        gap = _gap(walls, [box.moved(part.T_world_part) for box in part.shape.boxes()])
+    walls, guest = _walls(assembly, connector), _boxes(assembly, connector.guest)
+    for role, name in (("host", connector.host), ("guest", connector.guest)):
+        gap = distance(walls, _boxes(assembly, name))
         if gap > TOUCHING:
-            raise InputError(
-                f"is {1e3 * gap:.1f} mm from its {role} {part.name!r}; it must touch it, within 1 mm", where
-            )
-    if connector.kind == "U":
-        low, high = _extents([box.moved(guest.T_world_part) for box in guest.shape.boxes()])
-        floors = [_extents([wall]) for wall in walls]
-        if not any(
-            abs(top[2] - low[2]) <= TOUCHING and (bottom[:2] < high[:2]).all() and (top[:2] > low[:2]).all()
-            for bottom, top in floors
-        ):
-            raise InputError(
-                f"a U carries its guest on a floor, and no wall is right below {guest.name!r}, within 1 mm", where
-            )
+            raise InputError(f"is {1e3 * gap:.1f} mm from its {role} {name!r}; it must touch it, within 1 mm", where)
+    if connector.kind == "U" and not len(seats(guest, walls)):
+        raise InputError(
+            f"a U carries its guest on a floor, and no wall is right below {connector.guest!r}, within 1 mm", where
+        )
 
 
-def _gap(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> float:
-    """Least separation of the boxes of two bodies, m; at most 0 where they touch."""
-    pairs = [(a, b) for a in first for b in second]
-    T_a, T_b = (np.array([pair[k].T_frame_box for pair in pairs]) for k in (0, 1))
-    half_a, half_b = (np.array([pair[k].half_extents for pair in pairs]) for k in (0, 1))
-    separation = box_separation(T_a, half_a, T_b, half_b)
-    return float(separation.min())
-
-
-def _extents(boxes: Sequence[OrientedBox]) -> tuple[Array, Array]:
-    """Least and greatest coordinates (3,), m, of boxes."""
-    corners = np.concatenate([box.corners() for box in boxes])
-    return corners.min(axis=0), corners.max(axis=0)
-
-
-def _beyond_support(assembly: Assembly, i: int) -> float:
-    """How far, m, the centre of mass of part i lies outside the hull of the areas that carry it, seen from above.
-
-    An area is where the extents of a connector, or of the bar along z that it holds, and those of the part overlap.
-    Not more than 0 where it is inside.
-    """
+def _require_balance(assembly: Assembly, i: int) -> None:
     part = assembly.parts[i]
-    own = [box.moved(part.T_world_part) for box in part.shape.boxes()]
-    low, high = _extents(own)
-    carriers = _carriers(assembly, i)
-    corners: list[Array] = []
-    for connector in assembly.connectors:
-        if connector.guest == part.name and connector.host in carriers:
-            if _along_z(assembly, i) and _above_centre(assembly, connector):
-                continue
-        elif carriers or connector.host != part.name or not _above_centre(assembly, connector):
-            continue
-        T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part
-        least, most = _extents([wall.moved(T_world_host) for wall in connector.walls])
-        least, most = np.maximum(least, low), np.minimum(most, high)
-        if connector.host == part.name:  # the part lies on the bar that its own connector holds
-            guest = assembly.parts[assembly.index[connector.guest]]
-            least, most = _extents([box.moved(guest.T_world_part) for box in guest.shape.boxes()])
-        corners += [np.array([x, y]) for x in (least[0], most[0]) for y in (least[1], most[1])]
-    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    corners = _seats(assembly, i)
+    if not len(corners):
+        hosts = ", ".join(repr(name) for name in _carriers(assembly, i)) or "the bar along z in its own connector"
+        raise InputError(
+            f"part {part.name!r} hangs: neither {hosts} nor a wall of a connector is right below it, within 1 mm",
+            f"{assembly.name}: parts",
+        )
     middle = (part.T_world_part @ part.shape.bounding_box().T_frame_box)[:2, 3]
-    return float((directions @ middle - (directions @ np.array(corners).T).max(axis=1)).max())
+    beyond = beyond_hull(middle, corners)
+    if beyond > -BALANCED:
+        place = f"{1e3 * beyond:.1f} mm beyond" if beyond > BALANCED else "on the edge of"
+        raise InputError(
+            f"part {part.name!r} would tip: its centre of mass lies {place} what carries it; "
+            "it must be carried on both sides of it",
+            f"{assembly.name}: parts",
+        )
+
+
+def _boxes(assembly: Assembly, name: str) -> list[OrientedBox]:
+    """Boxes of a part in the world, without its connectors."""
+    part = assembly.parts[assembly.index[name]]
+    return [box.moved(part.T_world_part) for box in part.shape.boxes()]
+
+
+def _walls(assembly: Assembly, connector: Connector) -> list[OrientedBox]:
+    """Walls of a connector in the world."""
+    T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part
+    return [wall.moved(T_world_host) for wall in connector.walls]
+
+
+def _seats(assembly: Assembly, i: int) -> Array:
+    """Corners (N, 2), m, seen from above, of the areas on which a part lies: on the walls and the host of each
+    connector that carries it; one that nothing carries so, on the bars along z that its own connectors hold."""
+    name, carriers = assembly.parts[i].name, _carriers(assembly, i)
+    found = [np.empty((0, 2))]
+    for connector in assembly.connectors:
+        if connector.guest == name and connector.host in carriers:
+            below = _walls(assembly, connector) + _boxes(assembly, connector.host)
+            found.append(seats(_boxes(assembly, name), below))
+        elif not carriers and _lies_on_guest(assembly, connector, name):
+            found.append(_seat_on_guest(assembly, connector))
+    return np.concatenate(found)
+
+
+def _lies_on_guest(assembly: Assembly, connector: Connector, name: str) -> bool:
+    """Whether a part hosts the connector at the head of a bar along z."""
+    return (
+        connector.host == name
+        and connector.kind == "O"
+        and _along_z(assembly, assembly.index[connector.guest])
+        and _above_centre(assembly, connector)
+    )
+
+
+def _seat_on_guest(assembly: Assembly, connector: Connector) -> Array:
+    """Where the host of a connector, or the connector itself, lies on its guest; as `seats`."""
+    above = _boxes(assembly, connector.host) + _walls(assembly, connector)
+    return seats(above, _boxes(assembly, connector.guest))
 
 
 def _rests(assembly: Assembly, i: int, carried: set[str]) -> bool:
@@ -185,9 +186,9 @@ def _rests(assembly: Assembly, i: int, carried: set[str]) -> bool:
     if _along_z(assembly, i):
         return False
     return any(
-        connector.guest in carried and _above_centre(assembly, connector)
+        connector.guest in carried and len(_seat_on_guest(assembly, connector))
         for connector in assembly.connectors
-        if connector.host == name and connector.kind == "O" and _along_z(assembly, assembly.index[connector.guest])
+        if _lies_on_guest(assembly, connector, name)
     )
 
 

@@ -45,6 +45,7 @@ from takeapart.verification_report import (
     format_finding,
     report_as_dict,
 )
+from takeapart.verification_support import check_support
 from takeapart.workcell import Workcell
 
 __all__ = [
@@ -108,6 +109,7 @@ class Verifier:
         self.replay = Replay(assembly, workcell, self.options)
         self._steps: dict[bytes, StepResult] = {}
         self._standing: dict[int, StandingReport] = {}
+        self._support = check_support(assembly, self.replay.scene, self.options)
 
     @property
     def distinct_steps(self) -> int:
@@ -152,6 +154,7 @@ class Verifier:
         if not any(finding.check == "schema" and finding.step is not None for finding in findings):
             findings += check_total(plan, options)
         findings += check_bound(plan, assembly, workcell, options)
+        findings += self._support
         findings += check_stability(plan, assembly)
         states = states_of(plan, assembly) if physics else []
         for k, standing in enumerate(states):
