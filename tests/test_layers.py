@@ -33,6 +33,7 @@ removal
 problem
 search
 messages
+bound_texts
 schemas
 documents
 serialization

@@ -41,20 +41,12 @@ def planned(name: str = "exact") -> Plan:
 
 
 def straight_line_bounds() -> float:
-    """Written out anew: grasps every 2 cm from 3 cm off the first end, 5 cm up, then straight to the goal."""
-    total = 0.0
-    for middle, axis, length in (
-        ([0.1, 0, 0.19], 1, 0.299),
-        ([0.025, 0, 0.19], 0, 0.129),
-        ([0.175, 0, 0.19], 0, 0.129),
-    ):
-        distances = []
-        for k in range(int((length - 0.06) / 0.02 + 1e-6) + 1):
-            lifted = np.array(middle) + [0, 0, 0.05]
-            lifted[axis] += 0.03 + 0.02 * k - length / 2
-            distances.append(0.05 + float(np.linalg.norm(lifted - [-0.05, -0.30, 0.42])))
-        total += min(distances)
-    return total
+    """Written out anew: from the best point of every bar 5 cm up, then straight to the goal at (-0.05, -0.30, 0.42).
+    All bars are 2 cm high and stand at a height of 0.19 m, so the best points are at 0.20 m, and at 0.25 m lifted."""
+    beam = math.dist([0.09, -0.1495, 0.25], [-0.05, -0.30, 0.42])  # y from -0.1495 to 0.1495, x from 0.09 to 0.11
+    stub = math.dist([-0.0395, -0.01, 0.25], [-0.05, -0.30, 0.42])  # x from -0.0395 to 0.0895, y from -0.01 to 0.01
+    rear = math.dist([0.1105, -0.01, 0.25], [-0.05, -0.30, 0.42])  # x from 0.1105 to 0.2395
+    return 3 * 0.05 + beam + stub + rear
 
 
 @pytest.mark.parametrize("name", SEARCHES)

@@ -84,7 +84,7 @@ def test_a_query_is_counted_and_closes_its_edge(planner: RemovalPlanner, edges: 
     problem = new_problem(planner)
     queries, plans = spent(problem)
     assert problem.upper(edge.state, edge.part) == math.inf
-    assert problem.lower(edge.state, edge.part) == planner.straight_line_bound(edge.part)
+    assert problem.lower(edge.state, edge.part) == planner.candidate_bound(edge.part)
     removal = problem.remove(edge.state, edge.part, Effort())
     assert isinstance(removal, Removal)
     assert problem.counts.removal_queries == queries + 1
@@ -175,7 +175,7 @@ def test_an_empty_library_that_is_given_is_used(planner: RemovalPlanner, edges: 
     assert library.removals(edge.part) == (removal,)
 
 
-def test_static_bounds_are_the_straight_lines(problem: AssemblyProblem) -> None:
+def test_static_bounds_are_the_straight_lines_of_grasp_candidates(problem: AssemblyProblem) -> None:
     cell = problem.planner.workcell
     for part in members(problem.root):
         body = problem.assembly.parts[part]

@@ -310,7 +310,7 @@ def test_removals_hold_what_they_promise(planner: RemovalPlanner, edges: list[Ed
         assert removal.length == pytest.approx(
             sum(math.dist(a, b) for a, b in zip(poses[:-1, :3], poses[1:, :3], strict=True))
         )
-        assert removal.length >= planner.straight_line_bound(edge.part) - 1e-6
+        assert removal.length >= planner.candidate_bound(edge.part) - 1e-6
         np.testing.assert_allclose(poses[-1, :3], cell.goal, atol=1e-5)
         np.testing.assert_allclose(
             poses[0], np.concatenate([removal.grasp.center, removal.grasp.orientation]), atol=1e-9
@@ -386,7 +386,7 @@ def test_a_free_bar_leaves_almost_straight(robot: RobotModel, workcell: Workcell
     removal, planner = plan_in(robot, workcell, [FREE_BAR])
     assert isinstance(removal, Removal)
     assert removal.blockers == 0
-    assert planner.straight_line_bound(0) <= removal.length < 1.1 * planner.straight_line_bound(0)
+    assert planner.candidate_bound(0) <= removal.length < 1.1 * planner.candidate_bound(0)
 
 
 def test_blocked_by_what_lies_above(robot: RobotModel, workcell: Workcell) -> None:
@@ -444,7 +444,7 @@ def test_only_shorter_removals_are_of_interest(planner: RemovalPlanner, edges: l
     shorter = 0
     for edge, removal in known_removals(planner, tuple(edges))[:12]:
         rng = np.random.default_rng(1)
-        for limit in (removal.length, 0.97 * removal.length, planner.straight_line_bound(edge.part)):
+        for limit in (removal.length, 0.97 * removal.length, planner.candidate_bound(edge.part)):
             answer = planner.plan(edge.part, edge.state, rng=rng, shorter_than=limit)
             if isinstance(answer, Removal):
                 assert answer.length < limit

@@ -355,9 +355,7 @@ def test_a_verifier_replays_a_step_once() -> None:
 
 
 def test_bound_agrees_with_the_rule_written_out() -> None:
-    assert straight_line_bound(scene_assembly(), scene_workcell(), VerificationOptions()) == pytest.approx(
-        scene_bound(), abs=1e-12
-    )
+    assert straight_line_bound(scene_assembly(), scene_workcell()) == pytest.approx(scene_bound(), abs=1e-12)
 
 
 def test_samples_are_fine_enough_everywhere() -> None:

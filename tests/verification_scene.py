@@ -4,6 +4,7 @@ inverse kinematics library's own forward kinematics."""
 from __future__ import annotations
 
 import functools
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -150,24 +151,13 @@ def step_through(part: str, center: list[float], axis: str, via: list[list[float
 
 
 def scene_bound() -> float:
-    """Straight-line bound of the scene, written out: centres every 2 cm along each bar from 3 cm off its ends."""
-    goal = scene_workcell().goal
-    total = 0.0
-    for middle, axis, length in (
-        ([0.10, 0.0, 0.19], 1, 0.299),
-        ([0.025, 0.0, 0.19], 0, 0.129),
-        ([0.12, 0.40, 0.11], 1, 0.16),
-    ):
-        best = np.inf
-        for k in range(100):
-            if 0.03 + 0.02 * k > length - 0.03 + 1e-9:
-                break
-            point = np.array(middle)
-            point[axis] += 0.03 + 0.02 * k - length / 2
-            point[2] += 0.05
-            best = min(best, float(np.linalg.norm(point - goal)))
-        total += 0.05 + best
-    return total
+    """Straight-line bound of the scene, written out: from the point of every bar that is nearest, 5 cm up, then
+    straight to the goal. All bars are 2 cm wide and high."""
+    goal = [-0.05, -0.30, 0.42]
+    beam = math.dist([0.09, -0.1495, 0.25], goal)
+    stub = math.dist([-0.0395, -0.01, 0.25], goal)
+    loose = math.dist([0.11, 0.32, 0.17], goal)
+    return 3 * 0.05 + beam + stub + loose
 
 
 @functools.cache

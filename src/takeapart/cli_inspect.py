@@ -21,7 +21,7 @@ from takeapart.cli_output import (
     seed_option,
     workcell_option,
 )
-from takeapart.cli_plan_output import STATED, plan_summary, print_plan
+from takeapart.cli_plan_output import NOT_VERIFIED, plan_summary, print_plan
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.messages import shown
 
@@ -94,7 +94,7 @@ def _point(values: Array) -> str:
 
 def _show_plan(plan: Plan, assembly: Assembly | None, as_json: bool) -> None:
     if as_json:
-        print_json({"format": "takeapart/plan", **plan_summary(plan), "stated": STATED})
+        print_json({"format": "takeapart/plan", **plan_summary(plan), "stated": NOT_VERIFIED})
         return
     print_plan(plan, {part.name: size_text(part) for part in assembly.parts} if assembly else None, stated=True)
 

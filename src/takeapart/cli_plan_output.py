@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from takeapart.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE
 from takeapart.cli_output import EXIT_INFEASIBLE, EXIT_INTERRUPTED, metres, note, print_json, print_table
 
 if TYPE_CHECKING:
@@ -14,12 +15,7 @@ if TYPE_CHECKING:
     from takeapart.planning import Infeasible
 
 
-PROVED = "over all grasps that the planner tries"
-RELATIVE = "relative to the paths the planner found"
-BELIEVE = "the proved gap, of the whole plan; the sequence gap is only that of the order for these paths"
-STATED = (
-    "bounds, counts, seed and search are as stated by the file; takeapart verify checks what it can and lists the rest"
-)
+NOT_VERIFIED = f"all numbers are {STATED}; takeapart verify checks what it can and lists the rest"
 
 
 def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:
@@ -78,7 +74,7 @@ def print_plan(plan: Plan, sizes: dict[str, str] | None = None, stated: bool = F
     Args:
         plan: what is printed.
         sizes: of the parts by their names, if the assembly is known.
-        stated: whether the plan comes from a file, which may state anything.
+        stated: whether the plan comes from a file, which may state anything; its numbers are marked then.
     """
     columns = [">step", "part", *(["size, mm"] if sizes else []), ">gripper path", ">waypoints"]
     rows = [
@@ -92,22 +88,22 @@ def print_plan(plan: Plan, sizes: dict[str, str] | None = None, stated: bool = F
         for number, step in enumerate(plan.steps, 1)
     ]
     print_table(f"{plan.direction} of {plan.assembly} in workcell {plan.workcell}", columns, rows)
-    click.echo(f"\ntotal gripper path   {metres(plan.total_length)}")
-    click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{_gap_text(plan, plan.straight_line_bound)}")
+    mark = ", stated" if stated else ""
+    click.echo(f"\ntotal gripper path   {metres(plan.total_length)}{mark}")
+    proved = _gap_text("proved gap", gap(plan.total_length, plan.straight_line_bound), STRAIGHT_LINE)
+    click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{mark}{proved}")
     if plan.sequence_bound is not None:
-        click.echo(f"sequence bound       {metres(plan.sequence_bound)}{_gap_text(plan, plan.sequence_bound)}")
+        relative = _gap_text("sequence gap", gap(plan.total_length, plan.sequence_bound), SEQUENCE)
+        click.echo(f"sequence bound       {metres(plan.sequence_bound)}{mark}{relative}")
         click.echo(f"which gap to believe {BELIEVE}")
     counts = plan.counts
     click.echo(
         f"search               {plan.search.get('name', 'unknown')}, seed {plan.seed}: {plan.seconds:.1f} s, "
-        f"{counts.get('removal_queries', 0)} removal queries, {counts.get('motion_plans', 0)} motion plans"
+        f"{counts.get('removal_queries', 0)} removal queries, {counts.get('motion_plans', 0)} motion plans{mark}"
     )
     if stated:
-        click.echo(f"not verified         {STATED}")
+        click.echo(f"not verified         {NOT_VERIFIED}")
 
 
-def _gap_text(plan: Plan, bound: float) -> str:
-    share = gap(plan.total_length, bound)
-    kind = "sequence gap" if bound == plan.sequence_bound else "proved gap"
-    basis = RELATIVE if bound == plan.sequence_bound else PROVED
-    return "" if share is None else f"  ({kind} {share:.1%}, {basis})"
+def _gap_text(kind: str, share: float | None, basis: str) -> str:
+    return "" if share is None else f"  ({kind} {share:.1%}; {basis})"

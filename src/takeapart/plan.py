@@ -50,8 +50,10 @@ class Plan:
         direction: "disassembly", or "assembly" for the inverted plan.
         steps: in the order of execution.
         total_length: sum of the step lengths, m (Eq. 3).
-        straight_line_bound: no plan with grasps every 2 cm along the parts is shorter, whatever planner made it, m.
-        sequence_bound: no order is shorter for the edge costs known, m; None where the search gives none.
+        straight_line_bound: no plan that grips each part somewhere in its volume is shorter, whatever planner made it,
+            m.
+        sequence_bound: no order is shorter, relative to the paths the planner found, m; None where the search gives
+            none.
         counts: "motion_plans" and "removal_queries" that were spent.
         seconds: wall time of the search.
         seed: of the random generator.

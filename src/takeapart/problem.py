@@ -87,7 +87,7 @@ class AssemblyProblem:
         for part in movable:
             lift = planner.lift_blockers[part]
             self.hindered_by[part] = (self.root if lift is None else lift) | stability.dependents(part, self.root)
-        bounds = [planner.straight_line_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
+        bounds = [planner.candidate_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
         self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
         self._asked: dict[tuple[int, int], int] = {}
         self._effort: dict[tuple[int, int], int] = {}
@@ -103,7 +103,7 @@ class AssemblyProblem:
         return [part for part in members(state) if not self.hindered_by[part] & state]
 
     def static_lower(self, part: int) -> float:
-        """Straight-line bound of a part, m; holds for whatever planner that takes the same grasps."""
+        """Length that no removal of the part with a grasp candidate of this planner falls below, m."""
         return self.edge_bounds.static(part)
 
     def upper(self, state: int, part: int) -> float:

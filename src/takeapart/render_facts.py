@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from takeapart.assembly import Assembly, members
-from takeapart.removal.grasps import grasp_candidates, straight_line_bounds
+from takeapart.removal.grasps import volume_bound
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.result import Blocked, Removal
@@ -47,7 +46,7 @@ class PartFacts:
         mass: kg.
         step: in which it leaves in a disassembly, counted from 1; 0 where it stays.
         length: of its path, m.
-        bound: straight up and straight to the goal, by the nearest grasp, m.
+        bound: straight up and straight to the goal, from the best point of its volume, m.
         grasp: in words.
         carries: names of the parts that would fall if it left first.
         under: names of the parts it would hit when lifted first.
@@ -110,8 +109,6 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
         earliest, freed_by = _earliest(scene, i, carried | lifted)
         own = [answer.answer for query, answer in answers if query.part == i]
         stages = [answer.stage for answer in own if isinstance(answer, Blocked)]
-        grasps = grasp_candidates(part, scene.workcell.description.maximum_opening)
-        bounds = straight_line_bounds(part, grasps, scene.workcell.lift_height, scene.workcell.goal)
         facts.append(
             PartFacts(
                 part.name,
@@ -120,7 +117,7 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
                 part.mass,
                 step,
                 scene.steps[step - 1].length if step else 0.0,
-                float(bounds.min()) if len(bounds) else math.nan,
+                volume_bound(part, scene.workcell.lift_height, scene.workcell.goal),
                 scene.grasp_text(step - 1) if step else "",
                 tuple(assembly.names(carried)),
                 tuple(assembly.names(lifted & ~(1 << i))) if lifted != assembly.root else (),

@@ -11,10 +11,6 @@ import numpy as np
 from takeapart.plan import Plan
 from takeapart.render_facts import PartFacts
 
-STRAIGHT_LINE_MEANING = "no plan that grips each part somewhere in its volume is shorter"
-SEQUENCE_MEANING = "relative to the paths the planner found"
-GAP_TO_BELIEVE = "believe the proved gap; the sequence gap judges only the order of these paths"
-STATED = "as stated by the file"
 LENGTH_ROUNDING = 5e-4  # m, differences below this are not seen in what is shown
 
 

@@ -170,7 +170,7 @@ class Verifier:
             steps=len(results),
             configurations=sum(result.configurations for result in results),
             smallest_clearance=min(clearances, key=lambda clearance: clearance.distance, default=None),
-            agreement=_agreement(plan, assembly, workcell, options, results),
+            agreement=_agreement(plan, assembly, workcell, results),
             states=len(states),
             seconds=time.perf_counter() - started,
             options=options,
@@ -209,11 +209,9 @@ def states_of(plan: Plan, assembly: Assembly) -> list[int]:
     return states
 
 
-def _agreement(
-    plan: Plan, assembly: Assembly, workcell: Workcell, options: VerificationOptions, results: list[StepResult]
-) -> Agreement:
+def _agreement(plan: Plan, assembly: Assembly, workcell: Workcell, results: list[StepResult]) -> Agreement:
     """Differences between stated and recomputed numbers, over the steps that could be replayed."""
-    bound = straight_line_bound(assembly, workcell, options)
+    bound = straight_line_bound(assembly, workcell)
     total = sum(result.length for result in results)
     lengths = [result.length_error for result in results]
     return Agreement(

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
+from takeapart.bound_texts import SEQUENCE
 from takeapart.workcell import Workcell
 
 CheckName = Literal[
@@ -33,7 +34,7 @@ CheckName = Literal[
 
 
 NOT_CHECKED = (  # what a plan states that no replay can confirm
-    "sequence bound (relative to the paths the planner found)",
+    f"sequence bound ({SEQUENCE})",
     "counts of planner calls",
     "seconds",
     "seed",
@@ -63,8 +64,6 @@ class VerificationOptions:
         finger_gap: largest distance of each finger from the held part.
         joint_jump, tool_jump: largest step between two rows of a path, in any joint and of the tool's position.
         length_tolerance: of lengths, total and bound.
-        grasp_spacing, grasp_margin: candidate grasps of the straight-line bound (Sec. VI): every 2 cm, from 3 cm off
-            each end.
         physics_seconds, physics_shift, physics_tilt: how long a state must stand under gravity; a part that moves or
             tips more than this is a finding.
     """
@@ -85,8 +84,6 @@ class VerificationOptions:
     joint_jump: float = 0.1
     tool_jump: float = 0.02
     length_tolerance: float = 1e-6
-    grasp_spacing: float = 0.02
-    grasp_margin: float = 0.03
     physics_seconds: float = 2.0
     physics_shift: float = 0.005
     physics_tilt: float = math.radians(5.0)

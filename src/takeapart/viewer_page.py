@@ -19,6 +19,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from takeapart.bound_texts import explanation
 from takeapart.documents import write_atomically
 from takeapart.errors import InputError
 from takeapart.geometry import Array
@@ -93,6 +94,7 @@ def document(scene: PlanScene, plan: Plan, facts: Sequence[PartFacts]) -> dict[s
         "workcell": plan.workcell,
         "total": plan.total_length,
         "bounds": {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
+        "bounds_note": explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
         "counts": plan.counts,
         "colors": {"current": CURRENT, "path": PATH, "goal": GOAL, "obstacle": STEEL},
         "parts": [_part(scene, i, each) for i, each in enumerate(facts)],

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from takeapart.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE
 from takeapart.plan import Plan
 from takeapart.render_facts import PartFacts, why_not_earlier
-from takeapart.render_figures import GAP_TO_BELIEVE, SEQUENCE_MEANING, STATED, STRAIGHT_LINE_MEANING, plan_figures
+from takeapart.render_figures import plan_figures
 from takeapart.render_markup import Markup, element, joined
 from takeapart.render_scene import CURRENT, PlanScene
 from takeapart.viewer_time import PLAYBACK, Timeline
@@ -78,13 +79,13 @@ def _figures(plan: Plan, facts: Sequence[PartFacts]) -> Markup:
             ("straight-line bound", f"{figures.straight_line_bound:.3f} m"),
             ("proved gap", f"{figures.proved_gap:.1%}"),
         ]
-        remarks.append(f"Straight-line bound: {STRAIGHT_LINE_MEANING}.")
+        remarks.append(f"Straight-line bound: {STRAIGHT_LINE}.")
     if figures.sequence_gap is not None:
         rows += [
             ("sequence bound", f"{figures.sequence_bound:.3f} m"),
             ("sequence gap", f"{figures.sequence_gap:.1%}"),
         ]
-        remarks.append(f"Sequence bound, {STATED}: {SEQUENCE_MEANING}; {GAP_TO_BELIEVE}.")
+        remarks.append(f"Sequence bound, {STATED}: {SEQUENCE}; believe {BELIEVE}.")
     return joined([table(rows), *(remark(text) for text in remarks)])
 
 
@@ -191,5 +192,5 @@ def search_text(length: float, bound: float, queries: int, seconds: float) -> Ma
     rows += [("removal queries", str(queries)), ("time", f"{seconds:.0f} s")]
     return block(
         table(rows),
-        remark(f"Sequence bound: {SEQUENCE_MEANING}; a shorter path lowers it, also where it is drawn already."),
+        remark(f"Sequence bound: {SEQUENCE}; a shorter path lowers it, also where it is drawn already."),
     )

@@ -118,7 +118,7 @@ def replanned(
     """
     planner = problem.planner
     best, seconds, before = math.inf, 0.0, planner.counts.motion_plans
-    good_enough = planner.straight_line_bound(part) + planner.options.tolerance
+    good_enough = planner.candidate_bound(part) + planner.options.tolerance
     for _ in range(replans):
         if best > good_enough:
             started = time.perf_counter()

@@ -61,12 +61,12 @@ def refined(name: str, count: int, seconds: float, seed: int) -> list[Sample]:
     for state, part, first in islice(_removals(planner, rng), count):
         best, attempts = first, 1
         started = time.monotonic()
-        while best > planner.straight_line_bound(part) + 1e-4 and time.monotonic() - started < seconds:
+        while best > planner.candidate_bound(part) + 1e-4 and time.monotonic() - started < seconds:
             found = planner.plan(part, state, rng=rng)
             attempts += 1
             if isinstance(found, Removal):
                 best = min(best, found.length)
-        samples.append(Sample(first, best, planner.straight_line_bound(part), attempts))
+        samples.append(Sample(first, best, planner.candidate_bound(part), attempts))
     return samples
 
 

@@ -6,12 +6,13 @@ subset of that state. Two numbers per edge follow:
 - `upper`: length of the shortest removal known that is valid in the state. Always true: that removal can be executed.
 - `lower`: the largest of the part's static bound and the costs of its *closed* edges in subsets of the state.
 
-Which of them is a proof: the static bound (the straight line from grasp to goal) holds for whatever planner that
-takes the same grasps. An edge
-is closed once it was planned with the full effort; its cost is then what `upper` says there. That is a statement about
-the planner, not about geometry: a better planner may find a shorter removal, or one where ours found none. So `lower`
-and everything summed up from it is relative to what the planner found. Where the planner contradicts itself (it finds
-something shorter in a larger state, and a smaller state allows that too), the closed cost of the smaller state falls.
+Which of them is a proof: the static bound (the straight line from a grasp candidate to the goal) holds for whatever
+planner that takes the same candidates; it is higher than the straight-line bound of the whole plan, which holds for
+every grasp in a part's volume (`removal.grasps.volume_bound`). An edge is closed once it was planned with the full
+effort; its cost is then what `upper` says there. That is a statement about the planner, not about geometry: a better
+planner may find a shorter removal, or one where ours found none. So `lower` and everything summed up from it is
+relative to what the planner found. Where the planner contradicts itself (it finds something shorter in a larger state,
+and a smaller state allows that too), the closed cost of the smaller state falls.
 
 An edge whose `lower` equals its `upper` needs no planning: it is closed for free where the best removal of a closed
 subset is still valid, and known to be blocked where a closed subset is.
@@ -124,7 +125,7 @@ class EdgeBounds:
         return min(bound, self.upper(state, part))
 
     def static(self, part: int) -> float:
-        """Length that no removal of the part falls below, whatever the planner, m."""
+        """Length that no removal of the part with one of its grasp candidates falls below, m."""
         return self._static[part]
 
     def is_closed(self, state: int, part: int) -> bool:

@@ -4,6 +4,7 @@ VI).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -93,3 +94,19 @@ def straight_line_bounds(part: Part, grasps: Sequence[GraspCandidate], lift_heig
     centers = np.array([grasp.T_part_tool[:, 3] for grasp in grasps]).reshape(-1, 4) @ part.T_world_part[:3].T
     bounds: Array = lift_height + np.linalg.norm(centers + [0.0, 0.0, lift_height] - goal, axis=1)
     return bounds
+
+
+def volume_bound(part: Part, lift_height: float, goal: Array) -> float:
+    """Least length of a removal with a grasp anywhere in the part's volume, m: straight up, then straight to the goal
+    (Eq. 1). Attained where nothing is in the way.
+
+    Args:
+        goal: (3,) m, in the world.
+    """
+    nearest = math.inf
+    for box in part.shape.boxes():
+        raised = box.moved(part.T_world_part).T_frame_box.copy()
+        raised[2, 3] += lift_height
+        inside = np.clip((goal - raised[:3, 3]) @ raised[:3, :3], -box.half_extents, box.half_extents)
+        nearest = min(nearest, float(np.linalg.norm(raised[:3, :3] @ inside + raised[:3, 3] - goal)))
+    return lift_height + nearest

@@ -18,6 +18,7 @@ from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
 from takeapart.plan import Grasp
 from takeapart.removal.goals import GoalConfigurations
+from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
@@ -96,15 +97,18 @@ class RemovalPlanner:
         self.reach.forget()
         self.goals.forget()
 
-    def straight_line_bound(self, part: int) -> float:
-        """No removal of the part with one of its grasp candidates is shorter, whatever planner made it, m; infinite
-        without any.
+    def candidate_bound(self, part: int) -> float:
+        """No removal of the part with one of its grasp candidates is shorter, m; infinite without any. What this
+        planner cannot undercut, but a grasp between two candidates can.
         """
         return self.reach.bound(part)
 
     def straight_line_total(self, removals: Sequence[Removal]) -> float:
-        """No plan that removes the same parts with their grasp candidates is shorter, m."""
-        return math.fsum(self.straight_line_bound(removal.part) for removal in removals)
+        """The straight-line bound, m: no plan that removes these parts, each gripped somewhere in its volume, is
+        shorter.
+        """
+        lift, goal = self.workcell.lift_height, self.workcell.goal
+        return math.fsum(volume_bound(self.assembly.parts[each.part], lift, goal) for each in removals)
 
     def plan(
         self, part: int, state: int, *, rng: np.random.Generator, shorter_than: float = math.inf, attempts: int = 1
@@ -148,7 +152,7 @@ class RemovalPlanner:
                 found = Blocked(part, "path", others)  # shortening did not get it below
             if isinstance(found, Removal):
                 best, limit = found, found.length
-                if limit <= self.straight_line_bound(part) + self.options.tolerance:
+                if limit <= self.candidate_bound(part) + self.options.tolerance:
                     break
             elif best is None or (isinstance(best, Blocked) and found.stage == "path"):
                 best = found

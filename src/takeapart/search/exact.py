@@ -12,7 +12,8 @@ What the numbers are:
 - `SearchResult.sequence_bound` is relative to what the planner finds. No order of parts is shorter if every edge that
   was asked for costs what the planner made of it, every edge not asked for costs at least as much as the closed edges
   in its subsets, and nothing undercuts the static bounds. With exact edge costs it is the true optimum of the lattice.
-  It does not say that a better path planner could not do better; only the sum of the static bounds says that.
+  It does not say that a better path planner, or another seed, could not do better; only the straight-line bound of a
+  plan holds for all of them.
 - "infeasible" likewise: every sequence runs through a part that the planner could not remove, when it was asked a
   second time with more attempts too. Only what gravity and lifting forbid is beyond doubt.
 """

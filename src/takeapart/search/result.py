@@ -82,7 +82,8 @@ class SearchResult:
     Args:
         removals: in the order of execution; empty if no sequence to the goal was found.
         length: sum of their lengths, m; infinite if none was found.
-        sequence_bound: no order is shorter for the edge costs known, m; None where the search gives none.
+        sequence_bound: no order is shorter, relative to the paths the planner found, m; None where the search gives
+            none.
         refusals: where the search found no sequence, what blocked it: per dead end its state and refusals.
         statistics: numbers for tables ("initial_length", "found_episode", "found_step", ...).
         interrupted: stopped by Ctrl-C.

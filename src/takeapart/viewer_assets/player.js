@@ -180,7 +180,9 @@ class Player {
     for (const [name, bound] of Object.entries(data.bounds))
       if (bound) rows.push([name, metres(bound)],
         [name.startsWith("sequence") ? "sequence gap" : "proved gap", `${(100 * (data.total - bound) / bound).toFixed(1)}%`]);
-    get("totals").replaceChildren(table(rows));
+    const note = document.createElement("p");
+    note.textContent = data.bounds_note;
+    get("totals").replaceChildren(table(rows), note);
     get("time").max = this.timeline.total;
     get("time").addEventListener("input", () => { this.pause(); this.time = +get("time").value; this.draw(); });
     get("play").addEventListener("click", () => this.playing ? this.pause() : this.play());

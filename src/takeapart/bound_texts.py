@@ -1,0 +1,20 @@
+"""What the two bounds of a plan say, in the words that stand wherever one of them is shown."""
+
+from __future__ import annotations
+
+STRAIGHT_LINE = "no plan that grips each part somewhere in its volume is shorter"
+SEQUENCE = "relative to the paths the planner found"
+BELIEVE = "the proved gap, of the whole plan; the sequence gap is that of the order alone"
+STATED = "stated by the file, not checked"
+
+
+def explanation(straight_line: bool, sequence: bool) -> str:
+    """One line about the bounds that a plan has; empty where it has none."""
+    words = []
+    if straight_line:
+        words.append(f"Straight-line bound: {STRAIGHT_LINE}.")
+    if sequence:
+        words.append(f"Sequence bound: no order is shorter, {SEQUENCE}.")
+    if straight_line and sequence:
+        words.append(f"Believe {BELIEVE}.")
+    return " ".join(words)
