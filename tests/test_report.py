@@ -17,7 +17,7 @@ from takeapart.files import save_assembly
 from takeapart.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.report import report
-from takeapart.report_charts import Bar, bars, graph, progress
+from takeapart.report_charts import Bar, bars, graph, progress, progress_note
 from takeapart.search.result import History, Progress
 
 
@@ -109,11 +109,53 @@ def test_bars_are_as_long_as_the_lengths() -> None:
     assert lines[0] - left == pytest.approx(widths[0] / 2, abs=0.3)
 
 
-def test_progress_draws_steps_and_survives_missing_numbers() -> None:
-    text = progress([[1, None, 2.0], [5, 4.0, 2.5], [9, 3.0, 3.0]])
+def drawn_bands(text: str) -> list[tuple[float, float, float, float]]:
+    """Left, right, top and bottom of the bands of a chart, pixels."""
+    found = []
+    for rect in ElementTree.fromstring(text).iter("{http://www.w3.org/2000/svg}rect"):
+        x, width, y, height = (float(rect.get(name, "")) for name in ("x", "width", "y", "height"))
+        found.append((x, x + width, y, y + height))
+    return found
+
+
+def test_progress_draws_what_is_true_at_every_moment() -> None:
+    """A bound that was above the final length hangs below the best plan of its own moment, and nowhere else."""
+    history: list[list[float | None]] = [
+        [1, None, 2.0],
+        [5, 4.0, 2.5],
+        [7, 3.5, 3.5],
+        [9, 3.5, 3.25],
+        [11, 3.0, 3.0],
+        [13, 3.0, 3.0],
+    ]
+    text = progress(history, 1.0, 7)
     paths = [e.get("d", "") for e in ElementTree.fromstring(text).iter("{http://www.w3.org/2000/svg}path")]
-    assert len(paths) == 2 and all(path.startswith("M") for path in paths)
-    assert progress([[0, 3.0, None]]).count("<path") == 1
+    assert len(paths) == 2
+    start, *moves = re.findall(r"[MHV]([\d.]+)(?: ([\d.]+))?", paths[0])
+    heights = [float(start[1]), *(float(value) for value, _ in moves[1::2])]  # of 4.0, 3.5, 3.5, 3.0, 3.0 m
+    scale = (heights[1] - heights[0]) / 0.5  # pixels downwards per m
+    assert heights == pytest.approx(
+        [heights[0] + scale * (4.0 - length) for length in (4.0, 3.5, 3.5, 3.0, 3.0)], abs=0.2
+    )
+    floor = float(re.findall(r"M[\d.]+ ([\d.]+)H", paths[1])[0])
+    assert floor == pytest.approx(heights[0] + scale * 3.0, abs=0.3)
+    columns = [float(start[0]), *(float(value) for value, _ in moves[0::2])]
+    assert [value for band in drawn_bands(text) for value in band] == pytest.approx(
+        [
+            *(columns[0], columns[1], heights[0], heights[0] + 1.5 * scale),
+            *(columns[2], columns[3], heights[2], heights[2] + 0.25 * scale),
+        ],
+        abs=0.3,
+    )
+    assert "refinement" in text
+
+
+def test_progress_survives_missing_numbers() -> None:
+    alone = progress([[0, 3.0, None]])
+    assert alone.count("<path") == 1 and not drawn_bands(alone) and "refinement" not in alone
+    assert progress([[0, None, 2.0]]) == ""
+    assert "Orange" not in progress_note([[0, 3.0, None]]) and "Bound" not in progress_note([[0, 3.0, None]])
+    assert "at that moment" in progress_note([[0, 3.0, 2.0]], 1.0) and "volume" in progress_note([[0, 3.0, 2.0]], 1.0)
 
 
 def test_graph_puts_a_part_below_those_it_waits_for() -> None:

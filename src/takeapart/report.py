@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from takeapart.bound_texts import explanation
 from takeapart.documents import write_atomically
 from takeapart.errors import InputError, TakeapartError
 from takeapart.messages import shown
@@ -17,7 +18,7 @@ from takeapart.removal.result import Blocked
 from takeapart.render_facts import Answers, PartFacts, blocked_by, hindrances, part_facts, why_not_earlier
 from takeapart.render_scene import PlanScene
 from takeapart.render_subject import Subject, load_subject
-from takeapart.report_charts import Bar, bars, graph, progress
+from takeapart.report_charts import Bar, bars, graph, progress, progress_note
 from takeapart.run import JOURNAL
 from takeapart.run_journal import recorded_answers
 
@@ -45,7 +46,7 @@ td,th{padding:5px 8px 5px 0;border-bottom:1px solid var(--line);vertical-align:t
 td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 .dot{display:inline-block;width:.7em;height:.7em;border-radius:50%;margin-right:.45em}
 .hash{font:12px ui-monospace,Menlo,monospace;overflow-wrap:anywhere}
-.note{color:var(--soft);font-size:.88rem;margin:.6em 0 0}
+.note{color:var(--soft);font-size:.88rem;margin:.6em 0 0}.bounds{margin:0 0 16px}
 @media(max-width:520px){.why{display:none}body{font-size:15px}}
 @media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}section,.card{break-inside:avoid;
 border-color:#ccc}.wide{overflow:visible}.graph svg{min-width:0}.why{display:table-cell}*{print-color-adjust:exact;
@@ -122,8 +123,8 @@ def page(plan: Plan, scene: PlanScene, facts: Sequence[PartFacts], answers: Answ
         _section(
             "Length of every step",
             bars(rows),
-            "Way of the gripper, m. The line across a bar is the straight-line bound of the part: straight up, then "
-            "straight to the goal.",
+            "Way of the gripper, m. The line across a bar is the straight-line bound of the part: from the best point "
+            "of its volume straight up, then straight to the goal.",
         ),
         _search(plan),
         _section(
@@ -167,16 +168,22 @@ def _cards(plan: Plan) -> str:
         (f"{plan.seconds:.1f} s", "search time"),
     ]
     boxes = "".join(f'<div class="card"><b>{value}</b><span>{escape(text)}</span></div>' for value, text in cards)
-    return f'<section class="cards">{boxes}</section>'
+    words = explanation(bool(plan.straight_line_bound), plan.sequence_bound is not None)
+    return f'<section class="cards">{boxes}</section><p class="note bounds">{escape(words)}</p>'
 
 
 def _search(plan: Plan) -> str:
     history = plan.search.get("history")
     rows = history if isinstance(history, list) else []
     rows = [row for row in rows if isinstance(row, list) and len(row) == 3 and isinstance(row[0], int)]
-    if not any(value is not None for row in rows for value in row[1:]):
+    if not any(row[1] is not None for row in rows):
         return ""
-    return _section("How the search went", progress(rows), "Shortest length in hand, and the bound that it met, m.")
+    statistics = plan.search.get("statistics")
+    proved_after = statistics.get("closed_queries") if isinstance(statistics, dict) else None
+    if not isinstance(proved_after, int | float):
+        proved_after = None
+    floor = plan.straight_line_bound
+    return _section("How the search went", progress(rows, floor, proved_after), progress_note(rows, floor))
 
 
 def _order(plan: Plan, facts: dict[str, PartFacts], colors: dict[str, str]) -> str:

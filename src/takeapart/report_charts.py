@@ -8,8 +8,14 @@ from dataclasses import dataclass
 from html import escape
 
 from takeapart.assembly import Assembly, members
+from takeapart.bound_texts import STRAIGHT_LINE
 
-LENGTH, BOUND, INK, GRID = "#2f6fb0", "#d9822b", "#39424e", "#e3e7ec"
+LENGTH, BAND, INK, GRID = "#2f6fb0", "#f2d0ab", "#39424e", "#e3e7ec"
+BEST_PLAN = "Blue: length of the best plan so far, m."
+BAND_NOTE = (
+    "Orange: what another order could still save with the paths known at that moment. Refinement plans removals again "
+    "with other random numbers; each shorter path may open the band anew."
+)
 
 
 @dataclass(frozen=True)
@@ -41,12 +47,24 @@ def bars(rows: Sequence[Bar]) -> str:
     return _svg(width, top + len(rows) * height + 6, "".join(parts), "Length of every step, with its bound")
 
 
-def progress(history: Sequence[Sequence[float | None]]) -> str:
-    """Shortest length and bound, m, against removal queries."""
-    width, height, left, right, top, bottom = 480, 280, 52, 62, 22, 44
-    lengths = [(float(row[0] or 0), float(row[1])) for row in history if row[1] is not None]
-    bounds = [(float(row[0] or 0), float(row[2])) for row in history if row[2] is not None]
-    values = [value for _, value in lengths + bounds]
+def progress(history: Sequence[Sequence[float | None]], floor: float = 0.0, proved_after: float | None = None) -> str:
+    """How the best plan came about: its length, m, against removal queries, above what no plan can be shorter than.
+
+    The sequence bound moves with the paths that are known: a shorter one found later lowers it, so that it is no bound
+    of what the search ends with. What it says at its moment is how much another order could have saved then; that is
+    drawn, as a band below the best plan of the same moment.
+
+    Args:
+        history: rows of queries, length of the best plan and sequence bound, m; None where not known.
+        floor: straight-line bound of the plan, m; 0 where there is none.
+        proved_after: queries after which the order was proved for the first time; what follows is refinement.
+    """
+    width, height, left, right, top, bottom = 480, 280, 52, 84, 30, 44
+    rows = [(float(row[0] or 0), float(row[1]), row[2]) for row in history if row[1] is not None]
+    if not rows:
+        return ""
+    bands = [min(length, length if bound is None else float(bound)) for _, length, bound in rows]
+    values = [length for _, length, _ in rows] + bands + ([floor] if floor else [])
     low, high = min(values), max(values)
     margin = max(0.08 * (high - low), 0.01)
     low, high = low - margin, high + margin
@@ -67,22 +85,39 @@ def progress(history: Sequence[Sequence[float | None]]) -> str:
     for value in _ticks(0, end):
         parts.append(f'<text x="{x(value):.1f}" y="{height - bottom + 20}" text-anchor="middle">{value:g}</text>')
     parts.append(f'<text x="{(left + width - right) / 2}" y="{height - 6}" text-anchor="middle">removal queries</text>')
-    parts.append(f'<text x="{left - 8}" y="{top - 8}" text-anchor="end">m</text>')
-    placed: list[float] = []
-    for points, color, name in ((lengths, LENGTH, "length"), (bounds, BOUND, "bound")):
-        if not points:
-            continue
-        line = f"M{x(points[0][0]):.1f} {y(points[0][1]):.1f}"
-        for queries, value in points[1:]:
-            line += f"H{x(queries):.1f}V{y(value):.1f}"
-        line += f"H{x(end):.1f}"
-        at = y(points[-1][1])
-        if placed and abs(at - placed[0]) < 18:  # both names at one height would hide each other
-            at = placed[0] + 18
-        placed.append(at)
-        parts.append(f'<path d="{line}" fill="none" stroke="{color}" stroke-width="2.5" stroke-linejoin="round"/>')
-        parts.append(f'<text x="{width - right + 8}" y="{at + 5:.1f}" fill="{color}" class="name">{name}</text>')
-    return _svg(width, height, "".join(parts), "Shortest length and bound against removal queries")
+    parts.append(f'<text x="{left - 8}" y="{top - 12}" text-anchor="end">m</text>')
+    if proved_after is not None and 0 <= proved_after < end:
+        at = x(proved_after)
+        parts.append(
+            f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{height - bottom}" stroke="{INK}" '
+            f'stroke-dasharray="3 4"/><text x="{at + 6:.1f}" y="{top - 12}">refinement</text>'
+        )
+    for (queries, length, _), band, following in zip(rows, bands, [*(row[0] for row in rows[1:]), end], strict=True):
+        if band < length and following > queries:
+            parts.append(
+                f'<rect x="{x(queries):.1f}" width="{x(following) - x(queries):.1f}" y="{y(length):.1f}" '
+                f'height="{y(band) - y(length):.1f}" fill="{BAND}" shape-rendering="crispEdges"/>'
+            )
+    line = f"M{x(rows[0][0]):.1f} {y(rows[0][1]):.1f}"
+    for queries, length, _ in rows[1:]:
+        line += f"H{x(queries):.1f}V{y(length):.1f}"
+    named = [(f"{line}H{x(end):.1f}", rows[-1][1], LENGTH, "best plan")]
+    if floor:
+        named.append((f"M{left} {y(floor):.1f}H{x(end):.1f}", floor, INK, "bound"))
+    for path, value, color, name in named:
+        parts.append(f'<path d="{path}" fill="none" stroke="{color}" stroke-width="2.5" stroke-linejoin="round"/>')
+        parts.append(f'<text x="{width - right + 6}" y="{y(value) + 5:.1f}" fill="{color}" class="name">{name}</text>')
+    return _svg(width, height, "".join(parts), "Length of the best plan against removal queries, above its bound")
+
+
+def progress_note(history: Sequence[Sequence[float | None]], floor: float = 0.0) -> str:
+    """What stands below the chart of `progress`."""
+    words = [BEST_PLAN]
+    if floor:
+        words.append(f"Bound: {STRAIGHT_LINE}.")
+    if any(row[1] is not None and row[2] is not None for row in history):
+        words.append(BAND_NOTE)
+    return " ".join(words)
 
 
 def graph(assembly: Assembly, edges: Sequence[tuple[int, int, str]], colors: Sequence[str]) -> str:

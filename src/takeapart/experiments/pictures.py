@@ -15,6 +15,7 @@ from takeapart.planning import PlanningOptions, plan
 from takeapart.render import RenderOptions, animation
 from takeapart.render_output import captioned, save_animation
 from takeapart.render_scene import PlanScene
+from takeapart.report_charts import progress
 
 ASSEMBLY, WORKCELL = "single/01.json", "panda"
 WIDTH, HEIGHT, FRAMES, FRAMES_PER_SECOND = 400, 320, 6, 7.0
@@ -34,29 +35,13 @@ def draw_plan(scene: PlanScene, file: Path) -> None:
 
 
 def draw_search(made: Plan, file: Path) -> None:
-    """Length and bound against removal queries."""
-    import matplotlib
-
-    matplotlib.use("svg")
-    from matplotlib import pyplot
-
-    history = made.search["history"]
-    assert isinstance(history, list)
-    pyplot.rcParams.update({"font.family": "sans-serif", "font.size": 11, "svg.hashsalt": "takeapart"})
-    figure, axes = pyplot.subplots(figsize=(6.4, 3.2), layout="constrained")
-    last = history[-1][0]
-    for column, name, color in ((1, "length of the best plan", "#2f6fb0"), (2, "bound", "#d9822b")):
-        points = [(row[0], row[column]) for row in history if row[column] is not None]
-        queries, values = [x for x, _ in points], [y for _, y in points]
-        axes.step([*queries, last], [*values, values[-1]], where="post", color=color, linewidth=2, label=name)
-    axes.set_xlabel("removal queries")
-    axes.set_ylabel("gripper path, m")
-    axes.set_title(f"{made.assembly}: exact search, {len(made.steps)} parts", loc="left", fontsize=11)
-    axes.grid(axis="y", color="#e3e7ec")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
-    figure.savefig(file, metadata={"Date": None})
-    pyplot.close(figure)
+    """The report's chart of length and bound against removal queries, as a file of its own."""
+    history, statistics = made.search["history"], made.search["statistics"]
+    assert isinstance(history, list) and isinstance(statistics, dict)
+    chart = progress(history, made.straight_line_bound, statistics.get("closed_queries"))
+    paper = '<rect width="100%" height="100%" fill="#fff"/>'
+    head, content = chart.split(">", 1)
+    file.write_text(f'{head} font-family="sans-serif" font-size="14">{paper}{content}\n')
 
 
 def main() -> int:
