@@ -488,12 +488,17 @@ def test_verify_a_good_and_a_bad_plan(folder: Path) -> None:
     good = verified("--report", "report.json")
     assert (good.exit_code, good.stdout.split(":")[0]) == (0, "verified")
     assert json.loads(Path("report.json").read_text())["passed"] is True
+    ending = "not checked          sequence bound (relative to the paths the planner found), counts of planner calls, "
+    ending += "seconds, seed, search and its history, versions, names of its sources and other extra keys"
+    assert good.stdout.splitlines()[-1] == ending
     edited(folder / "two-bars.plan.json", '"width": 0.02', '"width": 0.03')
     bad = verified("--report", "report.json", "--json")
     assert bad.exit_code == 4
     assert json.loads(bad.stdout) | {"seconds": 0} == json.loads(Path("report.json").read_text()) | {"seconds": 0}
     assert {finding["check"] for finding in json.loads(bad.stdout)["findings"]} >= {"width"}
-    assert "not verified" in verified().stdout
+    for extra, rest in (((), ""), (("--no-physics",), ", whether the parts stand under gravity")):
+        text = verified(*extra).stdout
+        assert text.startswith("not verified") and text.splitlines()[-1] == ending + rest
 
 
 def test_verify_needs_the_assembly_and_the_workcell_of_the_plan(folder: Path) -> None:

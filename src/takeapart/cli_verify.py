@@ -95,13 +95,15 @@ def print_verdict(outcome: VerificationReport) -> None:
             )
         if outcome.states:
             click.echo(f"under gravity        all {outcome.states} states stand")
-        click.echo(f"not checked          {', '.join(outcome.not_checked)}")
-        return
-    click.echo(f"not verified: {outcome.plan} has {len(outcome.findings)} findings")
-    for finding in outcome.findings[:SHOWN_FINDINGS]:
-        click.echo(f"  {format_finding(finding)}")
-    if len(outcome.findings) > SHOWN_FINDINGS:
-        click.echo(f"  ... and {len(outcome.findings) - SHOWN_FINDINGS} more (all of them: --json or --report FILE)")
+    else:
+        click.echo(f"not verified: {outcome.plan} has {len(outcome.findings)} findings")
+        for finding in outcome.findings[:SHOWN_FINDINGS]:
+            click.echo(f"  {format_finding(finding)}")
+        if len(outcome.findings) > SHOWN_FINDINGS:
+            click.echo(
+                f"  ... and {len(outcome.findings) - SHOWN_FINDINGS} more (all of them: --json or --report FILE)"
+            )
+    click.echo(f"not checked          {', '.join(outcome.not_checked)}")
 
 
 @click.command(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from takeapart.bound_texts import explanation
+from takeapart.bound_texts import STATED, explanation
 from takeapart.documents import write_atomically
 from takeapart.errors import InputError, TakeapartError
 from takeapart.messages import shown
@@ -169,6 +169,7 @@ def _cards(plan: Plan) -> str:
     ]
     boxes = "".join(f'<div class="card"><b>{value}</b><span>{escape(text)}</span></div>' for value, text in cards)
     words = explanation(bool(plan.straight_line_bound), plan.sequence_bound is not None)
+    words += f" All figures are {STATED}; takeapart verify checks what it can."
     return f'<section class="cards">{boxes}</section><p class="note bounds">{escape(words)}</p>'
 
 

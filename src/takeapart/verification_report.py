@@ -40,6 +40,7 @@ NOT_CHECKED = (  # what a plan states that no replay can confirm
     "seed",
     "search and its history",
     "versions",
+    "names of its sources and other extra keys",
 )
 
 
