@@ -1,7 +1,7 @@
 """How near a first answer of the removal planner is to the best one. ``python -m takeapart.experiments.path_quality``.
 
 The first query of a removal is compared with the shortest of many more, planned again and again with other random
-numbers until the seconds are over, or until it is as short as its straight-line bound. Removals are those of random
+numbers until the seconds are over, or until it is as short as its candidate bound. Removals are those of random
 reachable states of all shipped assemblies.
 """
 
@@ -36,7 +36,7 @@ class Sample:
     Args:
         first: length of the first answer, m.
         best: of the shortest of all answers, m.
-        bound: straight-line bound, m.
+        bound: the straight line of the best grasp candidate, m.
         attempts: how many answers there were.
     """
 
@@ -89,7 +89,7 @@ def table(samples: Sequence[Sample], seconds: float) -> str:
     figures += [f"{np.percentile(ratios, share):.4f}" for share in (50, 90)] + [f"{ratios.mean():.4f}"]
     figures += [f"{100 * np.mean(ratios <= 1.03):.0f} %", f"{np.median(over):.3f}"]
     header = ["removals", f"attempts in {seconds:g} s, median", "first to best, median", "p90", "mean"]
-    return markdown_table([*header, "within 3 %", "best to straight-line bound, median"], [figures])
+    return markdown_table([*header, "within 3 %", "best to candidate bound, median"], [figures])
 
 
 def main() -> None:

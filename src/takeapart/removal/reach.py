@@ -128,7 +128,7 @@ class Reach:
         self._ik = ik
 
     def candidates(self, part: int) -> tuple[GraspCandidate, ...]:
-        """Grasps of a part, those with the shortest straight-line bound first."""
+        """Grasps of a part, those with the shortest straight line first."""
         if part not in self._candidates:
             body, cell = self._assembly.parts[part], self._workcell
             found = [] if ungraspable(body, cell) else grasp_candidates(body, cell.description.maximum_opening)
@@ -137,7 +137,7 @@ class Reach:
         return self._candidates[part]
 
     def bound(self, part: int) -> float:
-        """The least straight-line bound of any grasp, m; infinite if the part cannot be gripped."""
+        """The shortest straight line of any grasp candidate, m; infinite if the part cannot be gripped."""
         if part not in self._bounds:
             first = self.candidates(part)[:1]
             bounds = straight_line_bounds(self._assembly.parts[part], first, self._lift, self._workcell.goal)
