@@ -92,9 +92,10 @@ def set_piece(scene: Scene, a: Floats, b: Floats, first: float, last: float) -> 
 @compiled_lean
 def look_at(scene: Scene, a: Floats, b: Floats, first: float, last: float) -> int:
     """One look at the middle of a piece: the whole piece is free, or only its middle is, or not even that."""
-    if set_piece(scene, a, b, first, last) <= LARGEST_MARGIN and still_free(scene):
+    moved = set_piece(scene, a, b, first, last)
+    if moved <= LARGEST_MARGIN and still_free(scene):
         return PROVED
-    largest = max(scene.work.group_margin[1], scene.work.margin[len(scene.work.margin) - 1])
+    largest = max(moved, scene.work.group_margin[1])
     set_still(scene.work)
     if not still_free(scene):
         return HIT
