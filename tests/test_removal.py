@@ -144,7 +144,7 @@ def overlap_at(box: OrientedBox, other: OrientedBox, height: float, grown: float
 
 def test_lifting_of_turned_boxes_agrees_with_sampled_heights() -> None:
     hits = misses = 0
-    for seed in range(25):
+    for seed in range(12):
         rng = np.random.default_rng([3, seed])
         parts: list[Part] = []
         while len(parts) < 7:
@@ -170,7 +170,27 @@ def test_lifting_of_turned_boxes_agrees_with_sampled_heights() -> None:
                 assert not deep or mask >> k & 1
                 assert near or not mask >> k & 1
                 hits, misses = hits + deep, misses + (not near)
-    assert hits > 30 and misses > 100
+    assert hits > 14 and misses > 50
+
+
+@pytest.mark.parametrize(("overlap", "hit"), [(-2e-4, False), (5e-5, False), (2e-4, True), (1e-3, True)])
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+def test_on_its_way_up_a_part_may_slide_along_others_and_not_cut_into_them(
+    overlap: float, hit: bool, turn: float
+) -> None:
+    """A ledge that the bar has passed at the end of the lift: a tenth of a millimetre is contact, more is a hit."""
+    R = np.eye(4)
+    R[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    ledge = R @ pose((0.02 - overlap, 0.0, 0.03 + 0.001))
+    parts = (Part("bar", Box((0.02, 0.02, 0.02)), R, 0.1), Part("ledge", Box((0.02, 0.02, 0.002)), ledge, 0.1))
+    assert lift_blockers(Assembly("ledge", parts), 0.05, 0.0, ())[0] == (0b10 if hit else 0)
+
+
+def test_the_lifted_part_keeps_its_distance_at_the_end_of_the_lift() -> None:
+    for gap, hit in ((0.0010, True), (0.0022, False)):
+        side = Part("side", Box((0.02, 0.02, 0.02)), pose((0.02 + gap, 0.0, 0.05)), 0.1)
+        parts = (Part("bar", Box((0.02, 0.02, 0.02)), pose((0.0, 0.0, 0.0)), 0.1), side)
+        assert lift_blockers(Assembly("side", parts), 0.05, 0.0016, ())[0] == (0b10 if hit else 0)
 
 
 def test_nothing_is_lifted_through_what_never_leaves() -> None:

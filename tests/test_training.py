@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import takeapart
 from guide_cases import blocks, record_everything, true_value
@@ -22,8 +23,9 @@ from takeapart.errors import InputError, UnknownNameError
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.dataset import GOAL, StateTable, state_table
 from takeapart.guide.experience import Experience, ExperienceWriter, read_experience
+from takeapart.guide.network import QNetwork
 from takeapart.guide.policy import load_guide
-from takeapart.guide.teachers import interval_targets
+from takeapart.guide.teachers import DoubleQTeacher, evaluate, interval_targets
 from takeapart.guide.training import TrainingOptions, TrainingProgress, checkpoint_path, log_path, train
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget
@@ -131,6 +133,56 @@ def test_both_ways_of_learning_find_the_known_optimum(tmp_path: Path, teacher: s
     assert max(guide([problem.root])[0][part] for part in problem.reachable()[problem.root]) == pytest.approx(
         -problem.optimum()[0], abs=0.1
     )
+
+
+def test_double_q_learning_takes_one_networks_choice_and_the_others_value_of_it(tmp_path: Path) -> None:
+    """r + Q_target(s', argmax over the parts that may go of Q(s', a')), state by state."""
+    problem = problem_with_dead_ends(6, 2)
+    table = state_table(recorded(tmp_path, problem), dead_end=2.0)
+    torch.manual_seed(0)
+    network, target = QNetwork(Architecture(2, 8)), QNetwork(Architecture(2, 8))
+    for each in (network, target):
+        for parameter in each.parameters():
+            torch.nn.init.normal_(parameter, std=0.7)
+    rows = np.arange(len(table.first) - 1)
+    teacher = DoubleQTeacher(table, rows, 8, target, dead_end=2.0)
+    asked = np.append(rows, GOAL)
+    found = teacher.next_values(network, asked)
+    differ = dead = 0
+    for row, value in zip(asked, found, strict=True):
+        if row == GOAL:
+            assert value == 0.0
+            continue
+        allowed = table.allowed[table.first[row] : table.first[row + 1]]
+        if not allowed.any():
+            assert value == pytest.approx(-2.0 * len(allowed))
+            dead += 1
+            continue
+        mine, others = (
+            next(iter(evaluate(each, table, np.array([row]))))[2][0].detach().numpy() for each in (network, target)
+        )
+        chosen = max(np.flatnonzero(allowed), key=mine.__getitem__)
+        assert value == pytest.approx(others[chosen], abs=1e-5)
+        differ += abs(others[chosen] - mine[chosen]) > 0.01 and others[chosen] < others[allowed].max() - 0.01
+    assert differ > 5 and dead > 0
+
+
+def test_the_target_network_is_the_network_of_some_steps_ago(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[list[float], list[float]]] = []
+
+    class Watched(DoubleQTeacher):
+        def learn(self, network: QNetwork, rng: np.random.Generator) -> float:
+            weights = [torch.cat([p.detach().ravel() for p in each.parameters()]) for each in (network, self.target)]
+            seen.append((weights[0].tolist(), weights[1].tolist()))
+            return super().learn(network, rng)
+
+    monkeypatch.setattr("takeapart.guide.training.DoubleQTeacher", Watched)
+    options = replace(SMALL, teacher="dqn", steps=8, evaluate_every=4, target_every=3)
+    train(recorded(tmp_path / "seen", random_problem(4, 3)), options, tmp_path / "guide.safetensors")
+    assert len(seen) == 8
+    for step, (_, target) in enumerate(seen):
+        assert target == seen[step - step % 3][0]
+    assert seen[1][0] != seen[0][0]
 
 
 def test_the_exact_teacher_needs_bounds_and_learns_from_them(tmp_path: Path) -> None:
