@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo kernels test slow lint format types bench verify-all paper paper-quick mutations fuzz pictures browser wheel clean
+.PHONY: help demo kernels test slow lint format types bench verify-all paper paper-quick mutations mutants fuzz pictures browser wheel clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /: /'
@@ -56,6 +56,9 @@ paper-quick: $(READY)  ## the same in small, within minutes; writes out/paper-qu
 
 mutations: $(READY)  ## corrupt plans and see them refused; table of docs/reliability.md
 	$(BIN)/python tests/mutation_table.py --document docs/reliability.md
+
+mutants: kernels  ## 210 small wrong changes of the sources, and whether the tests notice; hours; table of docs/reliability.md
+	$(BIN)/python tests/code_mutants.py --document docs/reliability.md
 
 fuzz: $(READY)  ## 100,000 broken files for the readers, and more where atheris is installed; table of docs/reliability.md
 	$(BIN)/python tests/fuzz_readers.py --inputs 100000 --document docs/reliability.md
