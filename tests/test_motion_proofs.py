@@ -27,6 +27,7 @@ from takeapart.robot.world import build_world, owner_fields, with_field
 
 PADDING, STEP, SPACING = 0.0016, 0.001, 0.01  # m
 READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])  # rad
+ASIDE = READY - [0, 0, 0, 0, 0, 0, np.pi / 2]  # what is long stands across the arm
 FAR = OrientedBox(pose((9.0, 9.0, 9.0)), np.full(3, 0.01))
 
 
@@ -270,6 +271,59 @@ def test_a_motion_that_ends_in_a_box_is_not_called_free(robot: RobotModel) -> No
     assert seen > 15
 
 
+def test_how_far_fingers_move_counts_where_they_are_far_from_everything(robot: RobotModel) -> None:
+    """The corner of a finger meets a box at the end of a motion of 4 cm: no ball around the fingers holds that."""
+    rng, h, n = np.random.default_rng(71), 1e-6, robot.joints
+    held, work = robot.held(0.04), robot.workspace(64)
+    seen = 0
+    while seen < 15:
+        q = random_configurations(robot, 1, rng)[0]
+        T = frames(robot.arm, np.vstack([q, q + h * np.eye(n)]))
+        boxes, half = load_boxes(held, T[:1])
+        fingers = range(int(held.group[1]))
+        corners = np.concatenate([OrientedBox(boxes[0, f], half[f]).corners() for f in fingers])
+        middle = T[0, -1, :3, :3] @ held.group_center[0] + T[0, -1, :3, 3]
+        corner = corners[int(np.linalg.norm(corners - middle, axis=1).argmax())]
+        away = (corner - middle) / np.linalg.norm(corner - middle)
+        moves = ((T[1:, -1, :3] - T[0, -1, :3]) / h).reshape(n, 12).T
+        goal = np.zeros((3, 4))
+        goal[:, 3] = 0.042 * away  # no turning
+        turn = np.linalg.lstsq(moves, goal.ravel(), rcond=1e-3)[0]
+        rows = np.array([q, q + turn])
+        if np.abs(turn).sum() > 0.4 or self_gap(robot.arm, held, rows[:1])[0] < 0.01:
+            continue
+        T_end = frames(robot.arm, rows[1:])[0, -1] @ np.linalg.inv(T[0, -1])
+        box = OrientedBox(pose(T_end[:3, :3] @ corner + T_end[:3, 3]), np.full(3, 0.001))
+        place(robot.arm, held, q, work)
+        if set_motion(robot.arm, held, q - turn, q + turn, 0.5, work) > LARGEST_MARGIN:
+            continue
+        everything, fields = field_world(robot, [box])
+        world = with_field(everything, fields, np.array([1, 0], np.uint8))
+        seen += 1
+        assert placed(robot.arm, held, world, np.ones(2, np.uint8), 0.0, work) != FREE
+
+
+def test_a_load_far_from_the_hand_may_move_far_while_the_hand_hardly_moves(robot: RobotModel) -> None:
+    """A cube half a metre aside of the tool, which the last joint swings into a box 12 cm away."""
+    T_tool_part = pose((0.5, 0.0, 0.0))
+    held = robot.held(0.02, T_tool_part, Box((0.02, 0.02, 0.02)).boxes())
+    turn = np.zeros(robot.joints)
+    turn[6] = 0.24
+    for q in READY + np.random.default_rng(72).normal(size=(20, robot.joints)) * 0.2:
+        T, _ = load_boxes(held, frames(robot.arm, (q + turn)[None]), int(held.group[1]))
+        box = OrientedBox(T[0, 0], np.full(3, 0.01))
+        everything, fields = field_world(robot, [box])
+        world = with_field(everything, fields, np.array([1, 0], np.uint8))
+        scene = scene_of(robot, held, world, 1, 1, PADDING, STEP)
+        assert is_free(scene, q)
+        place(robot.arm, held, q, scene.work)
+        set_motion(robot.arm, held, q - turn, q + turn, 0.5, scene.work)
+        assert placed(robot.arm, held, world, scene.present, 0.0, scene.work) != FREE
+        assert not piece_free(scene, q - turn, q + turn)
+        hits = np.zeros(2, np.uint8)
+        assert not path_blockers(scene, np.array([q - turn, q + turn]), hits) or hits[0]
+
+
 def test_configurations_called_free_keep_their_distance_and_others_touch(robot: RobotModel) -> None:
     """With the clearance field of a state that leaves out half of the boxes."""
     rng = np.random.default_rng(65)
@@ -290,29 +344,56 @@ def test_configurations_called_free_keep_their_distance_and_others_touch(robot: 
     assert min(outcomes.values()) > 20
 
 
-def test_a_needle_in_the_way_of_the_end_of_a_long_bar_is_never_stepped_over(robot: RobotModel) -> None:
-    """The hand hardly moves, the end of the bar does: how finely a motion is looked at depends on the bar."""
-    rng = np.random.default_rng(66)
-    held = bar_in_hand(robot, 1.4)
-    for _ in range(25):
-        a = READY + rng.normal(size=robot.joints) * 0.1
+def lath_in_hand(robot: RobotModel) -> HeldArrays:
+    """1.4 m long, and 1 mm thick in the direction in which the last joint swings its ends."""
+    return robot.held(0.02, np.eye(4), Box((1.4, 0.001, 0.02)).boxes())
+
+
+def box_ahead(robot: RobotModel, held: HeldArrays, q: Array, turn: Array, gap: float, half: float) -> OrientedBox:
+    """A cube in the way of an end of the lath, which moves as the joints turn, at a distance from it, m, at q."""
+    T, size = load_boxes(held, frames(robot.arm, np.array([q, q + 1e-3 * turn])), int(held.group[1]))
+    ends = T[:, 0, :3, :3] @ [size[0, 0] - half, 0.0, 0.0] + T[:, 0, :3, 3]
+    cube = T[0, 0].copy()
+    ahead = np.sign((ends[1] - ends[0]) @ cube[:3, 1]) * cube[:3, 1]
+    cube[:3, 3] = ends[0] + (size[0, 1] + half + gap) * ahead
+    return OrientedBox(cube, np.full(3, half))
+
+
+def test_a_needle_in_the_way_of_the_end_of_a_long_lath_is_never_stepped_over(robot: RobotModel) -> None:
+    """The hand hardly moves, the end of the lath does: how finely a motion is looked at depends on the lath."""
+    rng, held = np.random.default_rng(66), lath_in_hand(robot)
+    for _ in range(30):
+        a = ASIDE + rng.normal(size=robot.joints) * 0.1
         b = a.copy()
         b[6] += rng.choice([-1, 1]) * rng.uniform(0.02, 0.06)
         middle = a + rng.uniform(0.2, 0.8) * (b - a)
-        T, half = load_boxes(held, frames(robot.arm, np.array([middle, middle + 1e-3 * (b - a)])), int(held.group[1]))
-        ends = T[:, 0, :3, :3] @ [half[0, 0], 0.0, 0.0] + T[:, 0, :3, 3]
-        along, out = ends[1] - ends[0], T[0, 0, :3, 0]
-        needle = np.eye(4)  # it reaches 1 mm into the way of the bar's end, and is as thin as can be there
-        needle[:3, :3] = np.linalg.qr(np.column_stack([out, along, np.cross(along, out)])).Q
-        needle[:3, 3] = ends[0] + 0.009 * out
-        box = OrientedBox(needle, np.array([0.010, 1e-4, 1e-4]))
+        box = box_ahead(robot, held, middle, b - a, -0.0006, 1e-4)
         scene = scene_of(robot, held, world_of(robot, [(box, 0)]), 1, 1, PADDING, STEP)
-        assert world_gap(robot.arm, held, [box], middle[None])[0, 0] < 1e-4
+        assert world_gap(robot.arm, held, [box], middle[None])[0, 0] < 1e-5
+        gone = scene._replace(present=np.array([0, 1], dtype=np.uint8))
+        assert piece_free(gone, a, b) and joint_edge_free(gone, a, b)
         assert not piece_free(scene, a, b)
         assert not joint_edge_free(scene, a, b)
         assert not tool_edge(scene, a, b, SPACING, np.empty((4096, robot.joints)))
         hits = np.zeros(2, dtype=np.uint8)
         assert not path_blockers(scene, np.array([a, b]), hits) or hits[0]
+
+
+def test_a_motion_called_free_comes_no_nearer_than_the_padding_less_half_a_step(robot: RobotModel) -> None:
+    """The end of a lath comes straight at a box: one that gets 0.1 mm nearer than that is refused."""
+    rng, held = np.random.default_rng(73), lath_in_hand(robot)
+    for motion in np.linspace(0.0008, 0.006, 40):
+        b = ASIDE + rng.normal(size=robot.joints) * 0.1
+        turn = np.zeros(robot.joints)
+        turn[6] = rng.choice([-1, 1]) * motion / 0.7
+        for gap, free in ((PADDING - STEP / 2 - 1e-4, False), (PADDING + 1e-4, True)):
+            box = box_ahead(robot, held, b, turn, gap, 0.005)
+            scene = scene_of(robot, held, world_of(robot, [(box, 0)]), 1, 1, PADDING, STEP)
+            assert piece_free(scene, b - turn, b) == free, (motion, gap)
+            hits = np.zeros(2, dtype=np.uint8)
+            rows = np.array([b - turn, b])
+            assert path_blockers(scene._replace(padding=PADDING - STEP / 2), rows, hits)
+            assert bool(hits[0]) == (not free)
 
 
 def test_an_elbow_that_swings_into_a_wall_while_the_tool_stands_still_is_seen(robot: RobotModel) -> None:
@@ -375,13 +456,14 @@ def test_an_edge_that_ends_a_hair_too_near_is_refused(robot: RobotModel) -> None
 def test_between_two_rows_no_corner_of_a_long_part_moves_more_than_the_spacing(
     robot: RobotModel, straighten: bool
 ) -> None:
+    """Also where only the last joint turns, which moves the hand hardly at all."""
     rng = np.random.default_rng(68)
     held = bar_in_hand(robot, 1.0)
     scene = alone(robot, held)
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     largest = 0.0
-    for _ in range(8):
-        ends = READY + rng.normal(size=(3, robot.joints)) * 0.15
+    for k in range(12):
+        ends = READY + rng.normal(size=(3, robot.joints)) * (0.15 if k % 2 else [0, 0, 0, 0, 0, 0, 0.3])
         rows = resampled(scene, ends, 0.016, straighten)
         assert len(rows) > 3
         T, half = load_boxes(held, frames(robot.arm, rows), int(held.group[1]))

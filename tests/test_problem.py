@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from conftest import Edge, random_states
-from takeapart.assembly import members
+from takeapart.assembly import Assembly, Part, members
+from takeapart.geometry import Box, pose
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.robot.model import RobotModel
 from takeapart.stability import ConnectorStability
+from takeapart.workcell import Workcell
 
 
 def new_problem(planner: RemovalPlanner, seed: int = 0) -> AssemblyProblem:
@@ -186,3 +189,47 @@ def test_static_bounds_are_the_straight_lines_of_grasp_candidates(problem: Assem
         centers = [(body.T_world_part @ np.append(np.eye(3)[axis] * offset, 1))[:3] for offset in offsets]
         expected = min(0.05 + math.dist(center + [0, 0, 0.05], cell.goal) for center in centers)
         assert problem.static_lower(part) == pytest.approx(expected, abs=1e-9)
+
+
+def many_blocks(count: int) -> Assembly:
+    """Blocks in rows, none near another."""
+    places = [(0.3 + 0.06 * (k % 10), -0.2 + 0.06 * (k // 10), 0.01) for k in range(count)]
+    return Assembly("blocks", tuple(Part(f"b{k}", Box((0.02,) * 3), pose(at), 0.1) for k, at in enumerate(places)))
+
+
+def test_random_numbers_of_a_query_depend_on_every_part_that_stands_there(
+    workcell: Workcell, robot: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More parts than fit into one word, or two: any of them makes a difference, and so do part, turn and seed."""
+    assembly, drawn = many_blocks(70), []
+
+    def plan(part: int, state: int, *, rng: np.random.Generator, **_: object) -> Blocked:
+        drawn.append(float(rng.random()))
+        return Blocked(part, "path", 0)
+
+    planner = RemovalPlanner(assembly, workcell, robot=robot)
+    monkeypatch.setattr(planner, "plan", plan)
+    root = assembly.root
+    for problem in (new_problem(planner), new_problem(planner, seed=1)):
+        problem.remove(root, 0, Effort())  # first: what cannot leave a smaller state is not asked for in a larger one
+        for gone in range(1, 70):
+            problem.remove(root & ~(1 << gone), 0, Effort())
+        problem.remove(root, 0, Effort(fresh=True))
+        problem.remove(root, 1, Effort())
+    assert len(drawn) == 2 * 72
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_a_refusal_is_the_planners_unless_only_something_shorter_was_wanted(
+    planner: RemovalPlanner, edges: list[Edge], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edge, removal = removable(planner, edges)
+    refused = Blocked(edge.part, "grasp", edge.state & ~(1 << edge.part))
+    problem = new_problem(planner)
+    monkeypatch.setattr(planner, "plan", lambda *_, **__: refused)
+    assert problem.remove(edge.state, edge.part, Effort()) == refused
+    problem = new_problem(planner)
+    monkeypatch.setattr(planner, "plan", lambda *_, **__: removal)
+    assert problem.remove(edge.state, edge.part, Effort()) is removal
+    answer = problem.remove(edge.state, edge.part, Effort(shorter_than=removal.length / 2))
+    assert answer == Blocked(edge.part, "path", 0)
