@@ -23,6 +23,7 @@ from takeapart.search.lattice import (
     unpack,
 )
 from takeapart.search.lattice_bounds import LatticeBounds, SequenceBounds
+from takeapart.search.orders import smallest_states
 
 
 class MaskedProblem(SyntheticProblem):
@@ -99,6 +100,24 @@ def test_states_and_edges_equal_a_plain_search(seed: int, parts: int) -> None:
     compiled = check(MaskedProblem(problem))
     assert (asked.states == compiled.states).all()
     assert (asked.child == compiled.child).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), parts=st.integers(1, 9))
+def test_what_must_wait_for_a_part_is_there_whenever_it_leaves(seed: int, parts: int) -> None:
+    """By hand: all that is reached from a part by going from what is in the way to what waits for it."""
+    rng = np.random.default_rng(seed)
+    in_the_way = rng.random((parts, parts)) < 1.5 / parts
+    masks = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in in_the_way]
+    root = int(rng.integers(1, 1 << parts)) if parts > 1 else 1
+    there = [k for k in range(parts) if root >> k & 1]
+    reached = np.eye(parts, dtype=bool)
+    for _ in range(parts):
+        for part, other in itertools.product(there, there):
+            reached[part, other] |= bool((reached[part, there] & in_the_way[other, there]).any())
+    expected = {part: sum(1 << k for k in there if reached[part, k]) for part in there}
+    assert smallest_states(root, masks) == expected
+    assert smallest_states(root, None) == {part: 1 << part for part in there}
 
 
 def test_part_numbers_may_have_gaps_and_more_than_one_word() -> None:

@@ -20,7 +20,7 @@ from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import joint_edge_free, resampled, tool_edge
 from takeapart.motion.scene import Scene, is_free, new_scene, piece_free
 from takeapart.robot.arrays import ArmArrays, Flags, HeldArrays, WorldArrays, workspace
-from takeapart.robot.kernels import FREE, LARGEST_MARGIN, check, collect_placed, placed
+from takeapart.robot.kernels import FREE, LARGEST_MARGIN, check, collect_placed, held_hits_world, placed
 from takeapart.robot.kinematics import place, set_motion
 from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world, owner_fields, with_field
@@ -300,7 +300,9 @@ def test_how_far_fingers_move_counts_where_they_are_far_from_everything(robot: R
         everything, fields = field_world(robot, [box])
         world = with_field(everything, fields, np.array([1, 0], np.uint8))
         seen += 1
-        assert placed(robot.arm, held, world, np.ones(2, np.uint8), 0.0, work) != FREE
+        present, hits = np.array([1, 0], np.uint8), np.zeros(2, np.uint8)
+        assert held_hits_world(robot.arm, held, world, present, 0.0, work, hits, False)
+        assert held_hits_world(robot.arm, held, world, present, 0.0, work, hits, True) and hits[0]
 
 
 def test_a_load_far_from_the_hand_may_move_far_while_the_hand_hardly_moves(robot: RobotModel) -> None:
@@ -394,6 +396,25 @@ def test_a_motion_called_free_comes_no_nearer_than_the_padding_less_half_a_step(
             rows = np.array([b - turn, b])
             assert path_blockers(scene._replace(padding=PADDING - STEP / 2), rows, hits)
             assert bool(hits[0]) == (not free)
+
+
+def test_what_a_motion_passes_by_is_not_marked(robot: RobotModel) -> None:
+    """Boxes beyond the end of a lath that swings by: marked where they are too near, and not half a step further."""
+    rng, held = np.random.default_rng(74), lath_in_hand(robot)
+    for motion in np.linspace(0.001, 0.02, 15):
+        q = ASIDE + rng.normal(size=robot.joints) * 0.1
+        turn = np.zeros(robot.joints)
+        turn[6] = motion / 0.7
+        for gap, marked in ((PADDING - 1e-4, True), (PADDING + 0.8 * STEP, False)):
+            T, size = load_boxes(held, frames(robot.arm, q[None]), int(held.group[1]))
+            cube = T[0, 0].copy()
+            cube[:3, 3] += (size[0, 0] + 0.005 + gap) * cube[:3, 0]
+            scene = scene_of(robot, held, world_of(robot, [(OrientedBox(cube, np.full(3, 0.005)), 0)]), 1, 1, PADDING)
+            hits = np.zeros(2, dtype=np.uint8)
+            assert path_blockers(scene, np.array([q - turn, q, q + turn]), hits)
+            assert bool(hits[0]) == marked, (motion, gap)
+            alone_at = np.zeros(2, dtype=np.uint8)
+            assert path_blockers(scene, q[None], alone_at) and bool(alone_at[0]) == marked
 
 
 def test_an_elbow_that_swings_into_a_wall_while_the_tool_stands_still_is_seen(robot: RobotModel) -> None:

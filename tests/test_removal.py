@@ -460,6 +460,38 @@ def test_blocked_where_the_goal_is_taken(robot: RobotModel, workcell: Workcell) 
     assert isinstance(fixed, Blocked) and fixed.blamed == 0
 
 
+def planner_of_trees(robot: RobotModel, workcell: Workcell, parts: list[Part], **options: int) -> RemovalPlanner:
+    """Plans with trees alone: no straight leg is tried."""
+    only = RemovalOptions(leg_grasps=0, tree_iterations=200, **options)  # type: ignore[arg-type]
+    return RemovalPlanner(Assembly("small", tuple(parts)), workcell, only, robot)
+
+
+def test_trees_find_a_path_where_legs_find_none_and_so_many_are_enough(robot: RobotModel, workcell: Workcell) -> None:
+    parts = [bar("part", [0.15, 0.2, 0.1], (0.02, 0.2, 0.02)), bar("post", [3.0, 3.0, 0.1], (0.02, 0.02, 0.1), True)]
+    for paths in (1, 3):
+        planner = planner_of_trees(robot, workcell, parts, tree_paths=paths, tree_failures=6)
+        removal = planner.plan(0, 0b1, rng=np.random.default_rng(0))
+        assert isinstance(removal, Removal)
+        assert removal.length < 1.5 * planner.straight_line_bound(0)
+        assert 1 <= planner.counts.motion_plans < paths + 6
+    none = planner_of_trees(robot, workcell, parts, tree_failures=0)
+    answer = none.plan(0, 0b1, rng=np.random.default_rng(0))
+    assert isinstance(answer, Blocked) and answer.stage == "path" and none.counts.motion_plans == 0
+
+
+def test_trees_fail_so_often_and_a_third_as_often_where_something_is_known(
+    robot: RobotModel, workcell: Workcell
+) -> None:
+    """The goal is taken, so no tree can arrive."""
+    place = [float(x) for x in workcell.goal]
+    parts = [bar("part", [0.15, 0.2, 0.1], (0.02, 0.2, 0.02)), bar("in_the_goal", place, (0.06, 0.06, 0.06))]
+    for limit, failures in ((np.inf, 6), (5.0, 2)):
+        planner = planner_of_trees(robot, workcell, parts, tree_failures=6)
+        answer = planner.plan(0, 0b11, rng=np.random.default_rng(0), shorter_than=limit)
+        assert isinstance(answer, Blocked) and answer.stage == "path"
+        assert planner.counts.motion_plans == failures
+
+
 def test_only_shorter_removals_are_of_interest(planner: RemovalPlanner, edges: list[Edge]) -> None:
     shorter = 0
     for edge, removal in known_removals(planner, tuple(edges))[:12]:
