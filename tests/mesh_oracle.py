@@ -30,6 +30,7 @@ class MeshOracle:
             load_collision_meshes=False,
         )
         self.objects: dict[str, list[tuple[fcl.CollisionObject, Array]]] = {}
+        self.vertices: dict[str, Array] = {}  # (V, 3) m, of a link's meshes, in the link's frame
         for name, link in self.urdf.link_map.items():
             for collision in link.collisions:
                 T = np.eye(4) if collision.origin is None else collision.origin
@@ -39,6 +40,8 @@ class MeshOracle:
                     model.beginModel(len(mesh.vertices), len(mesh.faces))
                     model.addSubModel(mesh.vertices, mesh.faces)
                     model.endModel()
+                    vertices = mesh.vertices @ T[:3, :3].T + T[:3, 3]
+                    self.vertices[name] = np.vstack([self.vertices.get(name, np.empty((0, 3))), vertices])
                 else:
                     model = fcl.Box(*collision.geometry.box.size)
                 self.objects.setdefault(name, []).append((fcl.CollisionObject(model), T))
