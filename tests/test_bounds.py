@@ -93,6 +93,22 @@ def test_a_refusal_holds_for_all_larger_states_until_a_removal_proves_it_wrong()
     assert bounds.refusal(0b1011, 0) is None
 
 
+@pytest.mark.parametrize("smaller_first", [True, False])
+def test_of_several_refusals_that_of_the_largest_subset_is_given(smaller_first: bool) -> None:
+    """What blocks the most parts that are there is the reason nearest to the state asked for, whichever came first."""
+    bounds = EdgeBounds([0.0])
+    refusals = {0b0011: Blocked(0, "path", 0b0010), 0b0111: Blocked(0, "grasp", 0b0110), 0b1101: Blocked(0, "ik", 0)}
+    for state in sorted(refusals, reverse=not smaller_first)[:2] + [0b1101]:
+        bounds.close(state, 0, refusals[state])
+    for state in (0b0011, 0b0111):
+        bounds.close(state, 0, refusals[state])  # again, or those left out
+    assert bounds.refusal(0b0011, 0) is refusals[0b0011]
+    assert bounds.refusal(0b10011, 0) is refusals[0b0011]
+    assert bounds.refusal(0b0111, 0) is refusals[0b0111]
+    assert bounds.refusal(0b10111, 0) is refusals[0b0111]
+    assert bounds.refusal(0b1101, 0) is refusals[0b1101]
+
+
 def test_falls_count_only_what_lowers_a_closed_cost() -> None:
     bounds = EdgeBounds([0.0])
     bounds.add_removal(synthetic_removal(0, 0.6, 0b10))

@@ -173,6 +173,21 @@ def test_a_refusal_is_looked_at_twice_before_there_is_no_order() -> None:
     assert given_up.statistics["infeasible"] == 1.0
 
 
+def test_dead_ends_that_a_second_look_frees_are_not_told() -> None:
+    """There is no order, and some parts that can leave are only found to when they are asked for twice."""
+    freed = 0
+    for seed in range(12):
+        problem = ForgetfulProblem(mutually_blocked(6, seed), blind=0b111111, sight=4)
+        seen: list[Progress] = []
+        check_refusals(problem, run(problem, seen.append, second_look=4))
+        first = {(state, part) for state, part, effort in problem.asked if effort.attempts == 1}
+        freed += any(
+            effort.attempts == 4 and math.isfinite(problem.true_cost(*edge)) for *edge, effort in problem.asked
+        )
+        assert first
+    assert freed > 8
+
+
 def test_every_query_is_for_less_than_what_is_known() -> None:
     problem = ForgetfulProblem(random_problem(8, 3, density=0.6))
     run(problem, batch=1)

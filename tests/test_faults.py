@@ -539,6 +539,30 @@ def test_seconds_of_all_sessions_count(tmp_path: Path, monkeypatch: pytest.Monke
     journal.close()
 
 
+def test_the_clock_of_a_run_never_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A session that is slower than the one before: what it recalls was answered earlier than its clock says."""
+    now = [0.0]
+    monkeypatch.setattr("takeapart.run_journal.time.monotonic", lambda: now[0])
+    answers = some_answers(3, np.random.default_rng(9))
+    create_journal(tmp_path / "journal.sqlite", SEAL)
+    journal = Journal(tmp_path / "journal.sqlite", SEAL)
+    journal.start()
+    for (query, recorded), at in zip(answers, (1.0, 2.0, 9.0), strict=True):
+        now[0] = at
+        journal.record(query, recorded)
+    journal.close()
+    now[0] = 100.0
+    journal = Journal(tmp_path / "journal.sqlite", SEAL)
+    journal.start()
+    budget = RunBudget(Budget(seconds=10), journal)
+    for number, at, expected in ((0, 103.0, 3.0), (1, 105.0, 5.0), (2, 106.0, 9.0), (0, 107.0, 10.0)):
+        now[0] = at
+        journal.recall(answers[number][0])
+        assert journal.seconds == expected
+        assert journal.ahead == expected - (at - 100.0) == 10 - budget.seconds
+    journal.close()
+
+
 def test_a_spent_budget_in_seconds_leaves_nothing_to_plan(tmp_path: Path) -> None:
     """A run whose time was up when it was killed, after its last answer, gives the plan of these answers."""
     options = replace(options_for("mcts"), budget=Budget(seconds=1000))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any, Literal
 
@@ -11,9 +12,12 @@ import pytest
 from order_search_cases import MaskedProblem, check_sequence
 from synthetic import SyntheticProblem, members, random_problem, synthetic_removal
 from takeapart.errors import InputError
+from takeapart.removal.bounds import ClosedEdge, EdgeBounds
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.exact import ExactOptions, exact
-from takeapart.search.refinement import RefinementOptions
+from takeapart.search.lattice import Lattice, enumerate_states
+from takeapart.search.lattice_bounds import LatticeBounds
+from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, SearchResult
 
 
@@ -161,6 +165,96 @@ def test_lengths_are_those_of_the_best_removals_known() -> None:
         assert removal.length >= problem.true_cost(state, removal.part) - 1e-9
         state &= ~(1 << removal.part)
     assert math.isclose(result.length, sum(each.length for each in result.removals))
+
+
+class ByHand:
+    """What `Refinement` is to choose, from its definition: every closed edge and every order one by one."""
+
+    def __init__(self, problem: SyntheticProblem, bounds: EdgeBounds, optimism: float) -> None:
+        self.problem, self.bounds, self.optimism = problem, bounds, optimism
+        self.planned: set[tuple[int, int]] = set()
+
+    def settled(self, part: int, closed: ClosedEdge) -> bool:
+        beyond_doubt = closed.refusal is not None and closed.refusal.stage != "path"
+        return beyond_doubt or (closed.state, part) in self.planned
+
+    def hope(self, state: int, part: int) -> float:
+        upper = self.bounds.upper(state, part)
+        subsets = [each for each in self.bounds.closed_edges(part) if each.state & state == each.state]
+        costs = [(self.bounds.upper(each.state, part), self.settled(part, each)) for each in subsets]
+        static = self.bounds.static(part)
+        known = min(max([static, *(cost for cost, _ in costs)]), upper)
+        sure = min(max([static, *(cost for cost, settled in costs if settled)]), upper)
+        return sure + (1 - self.optimism) * (known - sure) if math.isfinite(known) else sure
+
+    def doubted(self, state: int, part: int) -> tuple[int, int]:
+        found = [
+            (self.bounds.upper(each.state, part), each.state.bit_count(), each.state)
+            for each in self.bounds.closed_edges(part)
+            if each.state & state == each.state and not self.settled(part, each)
+        ]
+        return (sorted(found)[-1][2] if found else state), part
+
+    def choices(self, count: int) -> list[list[tuple[int, int]]]:
+        """The edges to plan again, in order, for every order of the parts that is shortest by hopes."""
+        found: list[tuple[float, list[tuple[int, int]]]] = []
+        for order in itertools.permutations(members(self.problem.root)):
+            state, total, gains = self.problem.root, 0.0, []
+            for part in order:
+                if part not in self.problem.candidates(state):
+                    break
+                hope = self.hope(state, part)
+                total += hope
+                gains.append((self.bounds.upper(state, part) - hope, (state, part)))
+                state &= ~(1 << part)
+            if state or math.isinf(total):
+                continue
+            most = sorted((each for each in gains if each[0] > 1e-9), key=lambda each: -each[0])[:count]
+            found.append((total, [self.doubted(*edge) for _, edge in most]))
+        least = min((total for total, _ in found), default=math.inf)
+        return [edges for total, edges in found if total < least + 1e-9]
+
+
+@pytest.mark.parametrize("optimism", [0.3, 0.5, 1.0])
+def test_what_is_planned_again_is_what_the_shortest_sequence_by_hopes_rests_on(optimism: float) -> None:
+    """Several rounds of it, each against every order of the parts; attempts grow with every try of an edge."""
+    rounds = subsets = 0
+    for seed in range(30):
+        rng = np.random.default_rng([5, seed])
+        problem = random_problem(5, seed, density=0.5)
+        bounds = EdgeBounds([0.8 * min(each.length for each in problem.hidden[part]) for part in range(5)])
+
+        def plan(edge: tuple[int, int], excess: float, problem: Any = problem, bounds: Any = bounds) -> None:
+            state, part = edge
+            valid = [each for each in problem.hidden[part] if not each.blockers & state]
+            if valid:
+                bounds.add_removal(synthetic_removal(part, valid[0].length * (1 + excess), valid[0].blockers))
+            stage: Literal["path", "grasp"] = "path" if excess < 0.3 else "grasp"
+            bounds.close(state, part, None if valid else Blocked(part, stage, state & ~(1 << part)))
+
+        edges = [(state, part) for state in problem.reachable() for part in problem.candidates(state)]
+        for k in rng.permutation(len(edges))[: int(rng.integers(5, 25))]:
+            plan(edges[k], float(rng.uniform(0.0, 0.6)))
+        lattice = enumerate_states(problem, 1000)
+        assert isinstance(lattice, Lattice)
+        known = LatticeBounds(lattice, bounds)
+        refinement = Refinement(lattice, bounds, known, 2, RefinementOptions(optimism=optimism, worth=0.0))
+        truth = ByHand(problem, bounds, optimism)
+        tries = {(closed.state, part): 1 for part in range(5) for closed in bounds.closed_edges(part)}
+        for k in range(4):
+            known.update()
+            chosen = refinement.edges(99.0, 2, k)
+            if refinement.passes > 1 or not chosen:
+                break
+            assert chosen in truth.choices(2)
+            assert [refinement.attempts(edge) for edge in chosen] == [2 * (tries.get(edge, 0) + 1) for edge in chosen]
+            rounds += 1
+            subsets += any(edge not in edges for edge in chosen) or len(set(tries) & set(chosen))
+            for edge in dict.fromkeys(chosen):
+                plan(edge, float(rng.uniform(0.0, 0.2)))
+                tries[edge] = tries.get(edge, 0) + 1
+            truth.planned.update(chosen)
+    assert rounds > 40 and subsets > 20
 
 
 @pytest.mark.parametrize("options", [{"passes": -1}, {"optimism": 1.1}, {"worth": math.nan}])
