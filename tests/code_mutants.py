@@ -1,10 +1,12 @@
-"""Small wrong changes of the sources, and whether the tests near them notice: ``python tests/code_mutants.py``.
+"""Small wrong changes of the sources, and whether the tests near them notice: ``make mutants``.
 
 Cosmic Ray knows what can be changed in a line of Python; here is drawn what is changed, and by which tests it is
-judged. For every area of the sources the same number of places is drawn, and for every place one of the possible
+judged. From every area of the sources the same number of places is drawn, and for every place one of the possible
 changes, but none that only puts an operator on bits into arithmetic, which any test would notice. A change is made in a
-copy of the project, then the tests near it run there until the first fails. Where a module holds compiled kernels the
-tests run uncompiled, those that are quick enough that way.
+copy of the project, then the tests of the area that execute its line run there until the first fails (`mutant_trial`).
+Where a module holds compiled kernels the tests run uncompiled, those that are quick enough that way.
+
+Every fate is kept in a log at once: a run that was cut off, or given few minutes, goes on where it was.
 
 A change that no test notices is a survivor. Some survivors do the same as before, or differ only in a message or in
 speed: `data/surviving_mutants.toml` says which and why. All others count against the tests.
@@ -16,28 +18,26 @@ import argparse
 import ast
 import difflib
 import json
-import os
-import shutil
-import subprocess
+import math
 import sys
+import time
 import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
+from mutant_trial import Judges, Tree
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 
 ROOT = Path(__file__).resolve().parents[1]
 REASONS = ROOT / "tests" / "data" / "surviving_mutants.toml"
 MARKER = "mutants"
-LONGEST_TEST = 30  # s, of a test that judges; what takes longer uncompiled does not take part
 ARITHMETIC = ("Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow")
 BITWISE = ("RShift", "LShift", "BitOr", "BitAnd", "BitXor")
 HARMLESS = ("equivalent", "message", "speed", "tuning")  # what a reason may begin with
@@ -49,23 +49,29 @@ class Area:
 
     Args:
         modules: patterns below src/takeapart.
-        tests: names of test files, the quickest first.
+        tests: names of test files.
+        uncompiled: those of modules with compiled kernels, which run as plain Python then.
     """
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
+    uncompiled: tuple[str, ...] = ()
 
 
+SEARCHES = ("lattice", "mcts", "baselines", "exact", "best_first", "refinement", "order_search", "determinism")
 AREAS = {
-    "motion": Area(("motion/*.py",), ("motion_proofs", "motion", "robot")),
-    "kernels": Area(("robot/*.py",), ("motion_proofs", "self_collision", "robot", "kernels", "removal")),
-    "removal": Area(("removal/*.py",), ("bounds", "carrying", "removal", "planning")),
-    "search": Area(
-        ("search/*.py",),
-        ("lattice", "mcts", "baselines", "exact", "best_first", "refinement", "order_search", "determinism"),
+    "verification": Area(
+        ("verification*.py",), ("verification", "verification_holes", "verification_motion", "carrying")
     ),
+    "motion": Area(("motion/*.py",), (), ("motion_proofs", "motion")),
+    "kernels": Area(
+        ("robot/*.py",),
+        ("motion_proofs", "self_collision", "robot", "kernels", "removal"),
+        ("motion_proofs", "self_collision", "robot", "kernels"),
+    ),
+    "removal": Area(("removal/*.py",), ("bounds", "carrying", "removal", "planning")),
+    "search": Area(("search/*.py",), SEARCHES, SEARCHES),
     "stability": Area(("stability.py", "problem.py"), ("stability", "carrying", "problem", "planning")),
-    "verification": Area(("verification*.py",), ("verification", "verification_holes", "self_collision")),
     "runs": Area(("run.py", "run_journal.py"), ("faults",)),
 }
 
@@ -98,10 +104,16 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Fate:
-    """What became of a mutant: "killed", "timeout" or "survived"."""
+    """What became of a mutant.
+
+    Args:
+        outcome: "killed", "timeout" or "survived".
+        tests: that were to judge it.
+    """
 
     mutant: Mutant
     outcome: str
+    tests: int
 
 
 def modules_of(area: Area) -> list[Path]:
@@ -109,8 +121,8 @@ def modules_of(area: Area) -> list[Path]:
     return sorted(path for pattern in area.modules for path in package.glob(pattern) if path.name != "__init__.py")
 
 
-def tests_of(area: Area) -> list[str]:
-    files = [f"tests/test_{name}.py" for name in area.tests]
+def tests_of(area: Area, compiled: bool) -> list[str]:
+    files = [f"tests/test_{name}.py" for name in (area.tests if compiled else area.uncompiled)]
     return [file for file in files if (ROOT / file).is_file()]
 
 
@@ -168,6 +180,12 @@ def mutated(mutant: Mutant, source: str) -> str | None:
     return None if same else changed
 
 
+def in_turn(mutants: Sequence[Mutant]) -> list[Mutant]:
+    """One of every area after the other, so that a run that is cut short says something about each."""
+    queues = [[mutant for mutant in mutants if mutant.area == area] for area in AREAS]
+    return [queue[k] for k in range(max(map(len, queues))) for queue in queues if k < len(queue)]
+
+
 def drawn(area: str, count: int, seed: int) -> list[Mutant]:
     """Changes at different places of an area, in the order in which they were drawn."""
     rng = np.random.default_rng([seed, list(AREAS).index(area)])
@@ -188,95 +206,44 @@ def drawn(area: str, count: int, seed: int) -> list[Mutant]:
     return found
 
 
-class Tree:
-    """A copy of the project in which the changes are made."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        listed = subprocess.run(
-            ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True
-        )
-        names = {name for name in listed.stdout.splitlines() if (ROOT / name).is_file()}
-        for known in [path for path in folder.rglob("*.py") if str(path.relative_to(folder)) not in names]:
-            known.unlink()
-        for name in sorted(names):
-            source, copy = ROOT / name, folder / name
-            if not copy.is_file() or copy.read_bytes() != source.read_bytes():
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(source, copy)
-
-    def run(self, tests: Sequence[str], compiled: bool, seconds: float, *more: str) -> int | None:
-        """Exit code of the tests; None if the time is over."""
-        environment = {**os.environ, "PYTHONPATH": f"{self.folder / 'src'}", "OMP_NUM_THREADS": "1"}
-        environment |= {"OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-        environment |= {} if compiled else {"NUMBA_DISABLE_JIT": "1"}
-        settings = "-q -p no:cacheprovider -p no:xdist --tb=no".split()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "pytest", *settings, "-m", "not slow", *more, *tests],
-            cwd=self.folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        try:
-            return process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)
-            process.wait()
-            return None
-
-    def usable_tests(self, area: Area, compiled: bool) -> dict[str, float]:
-        """Tests of an area that pass without a change within LONGEST_TEST, with their times, s; the quickest first."""
-        report = self.folder / "report.xml"
-        self.run(tests_of(area), compiled, 3600.0, f"--timeout={LONGEST_TEST}", f"--junitxml={report}")
-        found = {}
-        for case in ElementTree.parse(report).getroot().iter("testcase"):
-            if not len(case):  # neither failed nor skipped
-                file = case.get("classname", "").replace(".", "/")
-                found[f"{file}.py::{case.get('name')}"] = float(case.get("time", 0.0))
-        return dict(sorted(found.items(), key=lambda item: item[1]))
-
-    def fate(self, mutant: Mutant, tests: dict[str, float], compiled: bool) -> Fate:
-        """Makes the change, runs the tests, and takes the change back."""
-        path = self.folder / "src" / "takeapart" / mutant.module
-        original, times = path.read_text(encoding="utf-8"), path.stat()
-        changed = mutated(mutant, original)
-        assert changed is not None
-        path.write_text(changed, encoding="utf-8")
-        try:
-            code = self.run(list(tests), compiled, 3 * sum(tests.values()) + 60, "-x", f"--timeout={4 * LONGEST_TEST}")
-        finally:
-            path.write_text(original, encoding="utf-8")
-            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
-        return Fate(mutant, "timeout" if code is None else "killed" if code else "survived")
-
-
-def judged(tree: Tree, mutants: Sequence[Mutant], log: Path) -> list[Fate]:
-    """What becomes of all mutants; every fate is written to the log as soon as it is known."""
-    usable: dict[tuple[str, bool], dict[str, float]] = {}
-    fates = []
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with log.open("w", encoding="utf-8") as file:
+def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> None:
+    """Tries one mutant after the other; every fate is written to the log as soon as it is known."""
+    started = time.monotonic()
+    known: dict[tuple[str, bool], Judges] = {}
+    with log.open("a", encoding="utf-8") as file:
         for number, mutant in enumerate(mutants, 1):
+            if time.monotonic() - started > 60 * minutes:
+                print(f"time is over; {len(mutants) - number + 1} are left for the next call", flush=True)
+                return
             compiled = not is_compiled(ROOT / "src" / "takeapart" / mutant.module)
-            if (mutant.area, compiled) not in usable:
-                found = usable[mutant.area, compiled] = tree.usable_tests(AREAS[mutant.area], compiled)
+            if (mutant.area, compiled) not in known:
+                found = known[mutant.area, compiled] = tree.judges(
+                    tests_of(AREAS[mutant.area], compiled), compiled, log.parent
+                )
                 way = "compiled" if compiled else "uncompiled"
-                print(f"{mutant.area}, {way}: {len(found)} tests, {sum(found.values()):.0f} s", flush=True)
-            fate = tree.fate(mutant, usable[mutant.area, compiled], compiled)
-            fates.append(fate)
-            file.write(json.dumps({**asdict(mutant), "outcome": fate.outcome}) + "\n")
+                print(f"{mutant.area}, {way}: {len(found.seconds)} test functions", flush=True)
+            judges = known[mutant.area, compiled]
+            source = (ROOT / "src" / "takeapart" / mutant.module).read_text(encoding="utf-8")
+            changed = mutated(mutant, source)
+            if changed is None:
+                raise AssertionError(f"{mutant.key}: no such change")
+            tests = judges.of(mutant.module, source, mutant.line)
+            outcome = tree.trial(mutant.module, changed, tests, judges, compiled) if tests else "survived"
+            file.write(json.dumps({**asdict(mutant), "outcome": outcome, "tests": len(tests)}) + "\n")
             file.flush()
-            print(f"{number}/{len(mutants)} {fate.outcome}: {mutant.module}:{mutant.line}", flush=True)
-            if fate.outcome == "survived":
+            print(f"{number}/{len(mutants)} {outcome}: {mutant.module}:{mutant.line} ({len(tests)} tests)", flush=True)
+            if outcome == "survived":
                 print(f"    {mutant.before}\n    {mutant.after}", flush=True)
-    return fates
 
 
-def read_log(log: Path) -> list[Fate]:
-    rows = [json.loads(row) for row in log.read_text(encoding="utf-8").splitlines()]
-    return [Fate(Mutant(**{key: row[key] for key in row if key != "outcome"}), row["outcome"]) for row in rows]
+def read_log(log: Path) -> dict[str, Fate]:
+    """The latest fate of every mutant, by its key."""
+    found = {}
+    for row in log.read_text(encoding="utf-8").splitlines() if log.is_file() else []:
+        values = json.loads(row)
+        mutant = Mutant(**{each.name: values[each.name] for each in fields(Mutant)})
+        found[mutant.key] = Fate(mutant, values["outcome"], values["tests"])
+    return found
 
 
 def read_reasons() -> dict[str, str]:
@@ -289,7 +256,7 @@ def read_reasons() -> dict[str, str]:
     return reasons
 
 
-def markdown(fates: Sequence[Fate], reasons: dict[str, str]) -> tuple[str, float]:
+def markdown(fates: Sequence[Fate], sample: int, reasons: dict[str, str]) -> tuple[str, float]:
     """The tables of the document, and the share of the changes in behaviour that the tests notice."""
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
     survivors = []
@@ -299,7 +266,8 @@ def markdown(fates: Sequence[Fate], reasons: dict[str, str]) -> tuple[str, float
         for name in (fate.mutant.area, "all"):
             counts[name][kind] += 1
         if reason:
-            survivors.append([f"`{fate.mutant.module}`", f"`{fate.mutant.before}`", f"`{fate.mutant.after}`", reason])
+            place = f"`{fate.mutant.module}:{fate.mutant.line}`"
+            survivors.append([place, f"`{fate.mutant.before}`", f"`{fate.mutant.after}`", reason])
     rows = []
     for name in [*(name for name in AREAS if name in counts), "all"]:
         found = counts[name]
@@ -309,41 +277,39 @@ def markdown(fates: Sequence[Fate], reasons: dict[str, str]) -> tuple[str, float
         rows.append([name, *map(str, numbers), f"{100 * share:.0f} %"])
     head = ["area", "changes", "test failed", "never ended", "harmless", "not noticed", "noticed of those that matter"]
     cells = [[cell.replace("|", "\\|") for cell in row] for row in survivors]
-    tables = markdown_table(head, rows) + "\n\n" + markdown_table(["module", "before", "after", "why"], cells)
-    return tables, share
+    tried = f"{len(fates)} of the {sample} changes drawn were tried."
+    return "\n\n".join(
+        [tried, markdown_table(head, rows), markdown_table(["line", "before", "after", "why"], cells)]
+    ), share
 
 
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--each", type=int, default=30, help="changes per area")
-    parser.add_argument("--areas", nargs="+", choices=list(AREAS), default=list(AREAS))
+    parser.add_argument("--mutants", type=int, default=210, help="changes in all, as many from every area")
+    parser.add_argument("--areas", nargs="+", choices=list(AREAS), default=list(AREAS), help="only these")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="then stop; the next call goes on")
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "mutants", help="folder for the copy and the log")
-    parser.add_argument("--survivors", action="store_true", help="only what survived the last time, by the log")
-    parser.add_argument("--from-log", action="store_true", help="no tests, only the document")
+    parser.add_argument("--survivors", action="store_true", help="try again what survived, by the log")
+    parser.add_argument("--from-log", action="store_true", help="no tests, only the tables")
     parser.add_argument("--document", type=Path, help="file whose tables are replaced")
     options = parser.parse_args(arguments)
+    options.work.mkdir(parents=True, exist_ok=True)
     log = options.work / "log.jsonl"
-    known = read_log(log) if (options.survivors or options.from_log) else []
-    if options.from_log:
-        fates = known
-    else:
-        again = [fate.mutant for fate in known if fate.outcome == "survived"]
-        mutants = [mutant for area in options.areas for mutant in drawn(area, options.each, options.seed)]
-        keys = {mutant.key for mutant in again}
-        chosen = [mutant for mutant in mutants if mutant.key in keys] if options.survivors else mutants
-        fates = judged(Tree(options.work / "tree"), chosen, options.work / "latest.jsonl")
-        latest = {fate.mutant.key: fate for fate in fates}
-        fates = [latest.get(fate.mutant.key, fate) for fate in known] if options.survivors else fates
-        log.write_text(
-            "".join(json.dumps({**asdict(fate.mutant), "outcome": fate.outcome}) + "\n" for fate in fates),
-            encoding="utf-8",
-        )
-    tables, share = markdown(fates, read_reasons())
+    each = -(-options.mutants // len(AREAS))
+    sample = [mutant for area in options.areas for mutant in drawn(area, each, options.seed)]
+    known = read_log(log)
+    if not options.from_log:
+        again = [m for m in sample if m.key in known and known[m.key].outcome == "survived"]
+        chosen = again if options.survivors else in_turn([m for m in sample if m.key not in known])
+        judged(Tree(options.work / "tree"), chosen, log, options.minutes)
+        known = read_log(log)
+    fates = [known[mutant.key] for mutant in sample if mutant.key in known]
+    tables, share = markdown(fates, len(sample), read_reasons())
     print(tables)
     if options.document:
         replace_between_markers(options.document, MARKER, tables)
-    return 0 if share >= 0.9 else 1
+    return 0 if share >= 0.9 and len(fates) == len(sample) else 1
 
 
 if __name__ == "__main__":

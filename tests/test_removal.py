@@ -462,7 +462,7 @@ def test_blocked_where_the_goal_is_taken(robot: RobotModel, workcell: Workcell) 
 
 def planner_of_trees(robot: RobotModel, workcell: Workcell, parts: list[Part], **options: int) -> RemovalPlanner:
     """Plans with trees alone: no straight leg is tried."""
-    only = RemovalOptions(leg_grasps=0, tree_iterations=200, **options)  # type: ignore[arg-type]
+    only = RemovalOptions(leg_grasps=0, tree_iterations=200, **options)
     return RemovalPlanner(Assembly("small", tuple(parts)), workcell, only, robot)
 
 
