@@ -21,7 +21,7 @@ from takeapart.motion.edges import joint_edge_free, resampled, tool_edge
 from takeapart.motion.scene import Scene, is_free, new_scene, piece_free
 from takeapart.robot.arrays import ArmArrays, Flags, HeldArrays, WorldArrays, workspace
 from takeapart.robot.kernels import FREE, LARGEST_MARGIN, check, collect_placed, held_hits_world, placed
-from takeapart.robot.kinematics import place, set_motion
+from takeapart.robot.kinematics import motion_of_ball, place, set_motion
 from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world, owner_fields, with_field
 
@@ -193,6 +193,32 @@ def test_kinematics_of_the_brute_force_are_those_of_the_library(robot: RobotMode
     for q, T in zip(rows, frames(robot.arm, rows)[:, -1], strict=True):
         expected = robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool
         np.testing.assert_allclose(T, expected, atol=1e-9)
+
+
+def test_how_far_a_point_moves_is_bounded_where_it_does_not_move_at_first(robot: RobotModel) -> None:
+    """Turns of several joints that hold a point still but for how the arm bends: the second order alone decides."""
+    rng, h, n, work = np.random.default_rng(0), 1e-6, robot.joints, robot.workspace(64)
+    held, tightest = robot.held(0.02), 0.0
+    for q in random_configurations(robot, 400, rng):
+        frame, local = int(rng.integers(4, n + 1)), rng.uniform(-0.2, 0.2, 3)
+
+        def at(rows: Array, frame: int = frame, local: Array = local) -> Array:
+            T = frames(robot.arm, rows)[:, frame]
+            return np.asarray(T[:, :3, :3] @ local + T[:, :3, 3])
+
+        point = at(q[None])[0]
+        still = np.linalg.svd(((at(q + h * np.eye(n)) - point) / h)[:frame].T)[2][3:]
+        for _ in range(6):
+            turn = np.zeros(n)
+            turn[:frame] = rng.normal(size=len(still)) @ still
+            turn *= 0.3 / np.abs(turn).sum()
+            place(robot.arm, held, q, work)
+            set_motion(robot.arm, held, q - turn, q + turn, 0.5, work)
+            bound = motion_of_ball(work, frame, 0, point[0], point[1], point[2], 0.0)
+            moved = np.linalg.norm(at(np.array([q + turn, q - turn])) - point, axis=1).max()
+            assert moved <= bound
+            tightest = max(tightest, moved / bound)
+    assert tightest > 0.3, "a bound that is far too large would hide any fault of it"
 
 
 # ---- arm and load against what stands around
