@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import ast
 import difflib
+import hashlib
 import json
 import math
 import sys
@@ -218,12 +219,12 @@ def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> 
             compiled = not is_compiled(ROOT / "src" / "takeapart" / mutant.module)
             if (mutant.area, compiled) not in known:
                 found = known[mutant.area, compiled] = tree.judges(
-                    tests_of(AREAS[mutant.area], compiled), compiled, log.parent
+                    tests_of(AREAS[mutant.area], compiled), AREAS[mutant.area].modules, compiled, log.parent
                 )
                 way = "compiled" if compiled else "uncompiled"
                 print(f"{mutant.area}, {way}: {len(found.seconds)} test functions", flush=True)
             judges = known[mutant.area, compiled]
-            source = (ROOT / "src" / "takeapart" / mutant.module).read_text(encoding="utf-8")
+            source = tree.source(mutant.module)
             changed = mutated(mutant, source)
             if changed is None:
                 raise AssertionError(f"{mutant.key}: no such change")
@@ -234,6 +235,17 @@ def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> 
             print(f"{number}/{len(mutants)} {outcome}: {mutant.module}:{mutant.line} ({len(tests)} tests)", flush=True)
             if outcome == "survived":
                 print(f"    {mutant.before}\n    {mutant.after}", flush=True)
+
+
+def sample_of(area: str, count: int, seed: int, kept: Path) -> list[Mutant]:
+    """As `drawn`, which takes a while; the answer is kept for as long as the sources do not change."""
+    digest = hashlib.sha256(f"{area} {count} {seed}".encode())
+    for module in modules_of(AREAS[area]):
+        digest.update(module.read_bytes())
+    file = kept / f"sample-{digest.hexdigest()[:16]}.json"
+    if not file.is_file():
+        file.write_text(json.dumps([asdict(mutant) for mutant in drawn(area, count, seed)]), encoding="utf-8")
+    return [Mutant(**values) for values in json.loads(file.read_text(encoding="utf-8"))]
 
 
 def read_log(log: Path) -> dict[str, Fate]:
@@ -297,7 +309,7 @@ def main(arguments: Sequence[str]) -> int:
     options.work.mkdir(parents=True, exist_ok=True)
     log = options.work / "log.jsonl"
     each = -(-options.mutants // len(AREAS))
-    sample = [mutant for area in options.areas for mutant in drawn(area, each, options.seed)]
+    sample = [mutant for area in options.areas for mutant in sample_of(area, each, options.seed, options.work)]
     known = read_log(log)
     if not options.from_log:
         again = [m for m in sample if m.key in known and known[m.key].outcome == "survived"]

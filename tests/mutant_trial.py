@@ -19,11 +19,11 @@ from xml.etree import ElementTree
 from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST_TEST = 20  # s, of a test that judges; what takes longer uncompiled does not take part
+LONGEST_TEST = 60  # s, of a test that judges; what takes longer uncompiled does not take part
 LONGEST_TRIAL = 240.0  # s, of all tests of one change
 
 COVERAGE = """[run]
-source = src/takeapart
+include = {modules}
 dynamic_context = test_function
 data_file = {data}
 """
@@ -114,13 +114,18 @@ class Tree:
             return None
         return None if code < 0 else code
 
-    def judges(self, files: Sequence[str], compiled: bool, kept: Path) -> Judges:
+    def source(self, module: str) -> str:
+        """Text of a module below src/takeapart."""
+        return (self.folder / "src" / "takeapart" / module).read_text(encoding="utf-8")
+
+    def judges(self, files: Sequence[str], modules: Sequence[str], compiled: bool, kept: Path) -> Judges:
         """Test functions of some files all cases of which pass, each within LONGEST_TEST, and what they execute.
 
         Args:
+            modules: patterns below src/takeapart of what is executed.
             kept: folder where the answer is kept for as long as neither tests nor sources change.
         """
-        digest = hashlib.sha256(repr((list(files), compiled, LONGEST_TEST)).encode())
+        digest = hashlib.sha256(repr((list(files), list(modules), compiled, LONGEST_TEST)).encode())
         for path in sorted([*self.folder.glob("src/**/*.py"), *self.folder.glob("tests/*.py")]):
             digest.update(path.read_bytes())
         answer = kept / f"judges-{digest.hexdigest()[:16]}.json"
@@ -133,7 +138,8 @@ class Tree:
             return Judges(document["seconds"], executed)
         data, settings, report = kept / "coverage.data", kept / "coverage.ini", kept / "report.xml"
         data.unlink(missing_ok=True)
-        settings.write_text(COVERAGE.format(data=data), encoding="utf-8")
+        included = ",".join(f"src/takeapart/{pattern}" for pattern in modules)
+        settings.write_text(COVERAGE.format(data=data, modules=included), encoding="utf-8")
         command = ["-m", "coverage", "run", f"--rcfile={settings}", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
         command += ["-p", "no:xdist", "-m", "not slow", f"--timeout={LONGEST_TEST}", f"--junitxml={report}", *files]
         self._run(command, compiled, 3600.0)
@@ -146,12 +152,12 @@ class Tree:
     def trial(self, module: str, changed: str, tests: Sequence[str], judges: Judges, compiled: bool) -> str:
         """Makes a change, runs the tests until one fails, takes the change back: "killed", "timeout" or "survived"."""
         path = self.folder / "src" / "takeapart" / module
-        original, times = path.read_text(encoding="utf-8"), path.stat()
+        original, times = self.source(module), path.stat()
         path.write_text(changed, encoding="utf-8")
         command = ["-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow"]
         seconds = 4 * sum(judges.seconds[name] for name in tests) + 90
         try:
-            code = self._run([*command, f"--timeout={20 * LONGEST_TEST}", *tests], compiled, seconds)
+            code = self._run([*command, f"--timeout={10 * LONGEST_TEST}", *tests], compiled, seconds)
         finally:
             path.write_text(original, encoding="utf-8")
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))

@@ -360,14 +360,14 @@ def test_collect_marks_exactly_the_owners_that_single_checks_mark(robot: RobotMo
 def test_more_padding_never_frees_a_configuration(robot: RobotModel) -> None:
     rng = np.random.default_rng(42)
     changes = 0
-    for _ in range(5):
+    for _ in range(4):
         world, held, work = world_around(robot, 25, rng), a_load(robot, rng), robot.workspace(64)
         present = np.ones(26, dtype=np.uint8)
-        for q in random_configurations(robot, 100, rng):
+        for q in random_configurations(robot, 50, rng):
             answers = [check(robot.arm, held, world, present, p, q, work) == FREE for p in (0, 0.003, 0.01, 0.03, 0.05)]
             assert answers == sorted(answers, reverse=True)
             changes += answers[0] and not answers[-1]
-    assert changes > 20
+    assert changes > 8
 
 
 def test_self_collision_is_told_from_hits_of_the_world(robot: RobotModel) -> None:
