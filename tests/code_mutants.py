@@ -181,12 +181,6 @@ def mutated(mutant: Mutant, source: str) -> str | None:
     return None if same else changed
 
 
-def in_turn(mutants: Sequence[Mutant]) -> list[Mutant]:
-    """One of every area after the other, so that a run that is cut short says something about each."""
-    queues = [[mutant for mutant in mutants if mutant.area == area] for area in AREAS]
-    return [queue[k] for k in range(max(map(len, queues))) for queue in queues if k < len(queue)]
-
-
 def drawn(area: str, count: int, seed: int) -> list[Mutant]:
     """Changes at different places of an area, in the order in which they were drawn."""
     rng = np.random.default_rng([seed, list(AREAS).index(area)])
@@ -313,7 +307,7 @@ def main(arguments: Sequence[str]) -> int:
     known = read_log(log)
     if not options.from_log:
         again = [m for m in sample if m.key in known and known[m.key].outcome == "survived"]
-        chosen = again if options.survivors else in_turn([m for m in sample if m.key not in known])
+        chosen = again if options.survivors else [m for m in sample if m.key not in known]
         judged(Tree(options.work / "tree"), chosen, log, options.minutes)
         known = read_log(log)
     fates = [known[mutant.key] for mutant in sample if mutant.key in known]

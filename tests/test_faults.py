@@ -15,7 +15,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +37,7 @@ from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
 from takeapart.run import Identity, RunBudget, open_run
-from takeapart.run_journal import Journal, _digest, create_journal
+from takeapart.run_journal import Journal, _digest, create_journal, recorded_answers
 from takeapart.search.result import Budget
 from takeapart.serialization import plan_document
 from verification_scene import scene_workcell
@@ -255,6 +255,17 @@ def test_answers_come_back_bit_for_bit(tmp_path: Path) -> None:
         ):
             assert journal.recall(other) is None
     journal.close()
+
+
+def test_all_answers_are_read_in_their_order_and_none_that_was_changed(tmp_path: Path) -> None:
+    answers = filled(tmp_path / "journal.sqlite")
+    read = recorded_answers(tmp_path / "journal.sqlite")
+    assert [query for query, _ in read] == [query for query, _ in answers]
+    assert all(same(found, recorded) for (_, found), (_, recorded) in zip(read, answers, strict=True))
+    with closing(sqlite3.connect(tmp_path / "journal.sqlite")) as connection, connection:
+        connection.execute("UPDATE answers SET part = part + 1 WHERE rowid = 7")
+    with pytest.raises(InputError, match="damaged"):
+        recorded_answers(tmp_path / "journal.sqlite")
 
 
 def test_what_was_recorded_survives_a_kill(tmp_path: Path) -> None:

@@ -235,8 +235,12 @@ train(read_experience(Path(folder)), options, Path(out))
 """
 
 
-@pytest.mark.parametrize("teacher", ["backup", pytest.param("dqn", marks=pytest.mark.slow)])
-def test_a_training_that_is_killed_ends_with_the_same_weights(tmp_path: Path, teacher: str) -> None:
+@pytest.mark.parametrize(
+    ("teacher", "kills_after"), [("backup", (2,)), pytest.param("dqn", (1, 3), marks=pytest.mark.slow)]
+)
+def test_a_training_that_is_killed_ends_with_the_same_weights(
+    tmp_path: Path, teacher: str, kills_after: tuple[int, ...]
+) -> None:
     experience = recorded(tmp_path / "seen", random_problem(5, 3))
     options = replace(SMALL, teacher=teacher, evaluate_every=10, steps=100, target_every=25)  # type: ignore[arg-type]
     undisturbed = train(experience, options, tmp_path / "undisturbed.safetensors")
@@ -245,7 +249,7 @@ def test_a_training_that_is_killed_ends_with_the_same_weights(tmp_path: Path, te
     environment = {**os.environ, "PYTHONPATH": f"{root}:{Path(__file__).parent}"}
     command = [sys.executable, "-c", TRAINING, str(tmp_path / "seen"), str(out), teacher]
     kills = 0
-    for evaluations in (1, 3):
+    for evaluations in kills_after:
         process = subprocess.Popen(command, env=environment)
         end = time.monotonic() + 120
         while process.poll() is None and time.monotonic() < end:

@@ -16,7 +16,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array
 from takeapart.plan import Grasp, PlanStep
 from takeapart.verification import Verifier, stand_under_gravity, verify_plan
-from takeapart.verification_checks import NOTHING_BELOW, unsupported
+from takeapart.verification_checks import NOTHING_BELOW, check_schema, unsupported
 from takeapart.verification_model import mujoco
 from verification_scene import scene_assembly, scene_plan, scene_workcell, tool_rows
 
@@ -137,3 +137,13 @@ def test_both_fingers_touch_what_they_hold(beside: float, accepted: bool) -> Non
     plan = replace(scene_plan(), steps=tuple(steps))
     findings = verify_plan(plan, scene_assembly(), scene_workcell(), physics=False).findings
     assert any(f.check == "finger_contact" for f in findings) != accepted
+
+
+def test_a_path_has_two_rows_or_more_of_as_many_numbers_as_the_arm_has_joints() -> None:
+    step = scene_plan().steps[0]
+    for rows, joints, right in ((1, 7, False), (2, 7, True), (3, 7, True), (3, 6, False), (3, 8, False)):
+        path = replace(step, joint_path=np.zeros((rows, joints)), tool_path=step.tool_path[:rows])
+        assert [finding.check for finding in check_schema(path, 4, 7)] == ([] if right else ["schema"])
+    for tool_path in (step.tool_path[:2], step.tool_path[:3, :6]):
+        path = replace(step, joint_path=np.zeros((3, 7)), tool_path=tool_path)
+        assert [(finding.check, finding.step) for finding in check_schema(path, 4, 7)] == [("schema", 4)]
