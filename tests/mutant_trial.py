@@ -123,11 +123,12 @@ class Tree:
 
         Args:
             modules: patterns below src/takeapart of what is executed.
-            kept: folder where the answer is kept for as long as neither tests nor sources change.
+            kept: folder where the answer is kept for as long as neither these files nor these modules change.
         """
         digest = hashlib.sha256(repr((list(files), list(modules), compiled, LONGEST_TEST)).encode())
-        for path in sorted([*self.folder.glob("src/**/*.py"), *self.folder.glob("tests/*.py")]):
-            digest.update(path.read_bytes())
+        sources = [path for pattern in modules for path in sorted((self.folder / "src" / "takeapart").glob(pattern))]
+        for path in [*sources, *(self.folder / file for file in files)]:
+            digest.update(path.read_bytes() if path.is_file() else b"")
         answer = kept / f"judges-{digest.hexdigest()[:16]}.json"
         if answer.is_file():
             document = json.loads(answer.read_text(encoding="utf-8"))
