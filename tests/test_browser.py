@@ -92,6 +92,26 @@ def test_standalone_page_plays_from_disk_without_a_network(page_file: Path, fold
 
 
 @pytest.mark.slow
+def test_page_of_an_assembly_shows_its_parts_and_nothing_to_play(page_file: Path, folder: Path, tmp_path: Path) -> None:
+    save_page(folder / "product.json", tmp_path / "product.html", None, str(folder / "cell.toml"))
+    with opened((tmp_path / "product.html").as_uri(), 900, 640, offline=True) as found:
+        drawn(found)
+        page, parts = found.page, small_scene(folder).assembly.parts
+        assert found.picture().std() > 20
+        for hidden in ("#bar", "#list", "#now"):
+            assert not page.locator(hidden).is_visible()
+        assert re.split(r"\s+", page.locator("#totals").inner_text())[:2] == ["parts", str(len(parts))]
+        beam = [part.name for part in parts].index("beam")
+        page.evaluate(f"takeapart.player.choose({beam})")
+        text = page.locator("#picked").inner_text()
+        assert text.startswith("beam") and "would fall without it" in text and "straight-line bound" not in text
+        page.keyboard.press("Space")
+        page.keyboard.press("ArrowRight")
+        assert page.evaluate("takeapart.player.playing") is False
+        assert found.errors == []
+
+
+@pytest.mark.slow
 def test_standalone_page_of_thirty_parts_is_responsive_and_tells_of_its_parts(tmp_path: Path) -> None:
     plan_file = tmp_path / "plan.json"
     command = [sys.executable, "-m", "takeapart", "plan", str(data_path("double/01.json")), "--search", "greedy"]

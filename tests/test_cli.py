@@ -238,6 +238,19 @@ def test_help_pages_keep_their_lines_and_end_with_an_example() -> None:
     assert "\n    takeapart demo\n" in text and "\n    3    no feasible order\n" in text
 
 
+def test_help_pages_fit_in_80_columns() -> None:
+    for name in ("", *main.commands, "reproduce paper", "reproduce beyond"):
+        assert all(len(line) <= 80 for line in run(*name.split(), "--help").stdout.splitlines()), name
+
+
+def test_a_page_of_an_assembly_holds_its_parts(folder: Path) -> None:
+    assert run("view", "three-bars.json", "--html", "page.html").exit_code == 0
+    text = Path("page.html").read_text()
+    data = json.loads(text[text.index('id="data">') + 10 : text.rindex("</script>")])
+    assert [part["name"] for part in data["parts"]] == [part.name for part in load_assembly("three-bars.json").parts]
+    assert data["steps"] == [] and data["title"] == "three-bars"
+
+
 def test_no_command_prints_the_help() -> None:
     assert run().stdout == run("--help").stdout
 

@@ -42,6 +42,7 @@ COMMANDS = {
 }
 HOSTILE = {
     "long": "x" * 300,
+    "long, in a new folder": f"new/{'x' * 300}",
     "device": "/dev/full",
     "slash": "new/",
     "loop": "loop",

@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
-from takeapart.files import assembly_hash, data_path, load_assembly
+from takeapart.files import assembly_hash, data_path, load_assembly, load_workcell
+from takeapart.plan import Plan
+from takeapart.planning import plan
 from takeapart.render import NoGraphicsError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -96,6 +98,21 @@ def test_public_functions_of_the_main_modules_are_listed() -> None:
     assert {f"takeapart.files.{name}" for name in exported} <= set(listed())
     for name in ("planning.plan", "verification.verify_plan", "profiles.generate", "report.save_report"):
         assert f"takeapart.{name}" in listed()
+
+
+def test_example_of_the_file_formats_can_be_planned_and_is_verified(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    for kind, name in (("json", "bench.json"), ("toml", "cell.toml")):  # the first of each is the whole example
+        block = re.search(rf"^```{kind}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+        assert block
+        (tmp_path / name).write_text(block[1], encoding="utf-8")
+    product, cell = load_assembly(tmp_path / "bench.json"), load_workcell(tmp_path / "cell.toml")
+    made = plan(product, cell)
+    assert isinstance(made, Plan) and [step.part for step in made.steps] == ["bar"]
+    pytest.importorskip("mujoco")
+    from takeapart.verification import verify_plan
+
+    assert verify_plan(made, product, cell).passed
 
 
 def test_documents_refer_to_files_that_exist() -> None:

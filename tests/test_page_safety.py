@@ -13,7 +13,6 @@ import pytest
 from browser import PATIENCE, Opened, opened
 from shown_plans import small_scene, write_files
 from takeapart.cli_view import _load
-from takeapart.files import load_plan
 from takeapart.render_facts import part_facts
 from takeapart.render_figures import lasting_bounds
 from takeapart.render_markup import Markup, element, joined, plain
@@ -91,9 +90,11 @@ def test_panel_escapes_what_a_part_is_called(folder: Path) -> None:
 
 def test_nothing_of_a_plan_runs_in_report_and_standalone_page(tmp_path: Path, folder: Path) -> None:
     file, given = hostile_plan(tmp_path, folder)
+    subject = load_subject(file, Path(given[1]), given[3])
+    scene = PlanScene(subject.assembly, subject.workcell, subject.plan)
     texts = {
         "report.html": report(file, Path(given[1]), given[3]),
-        "page.html": page(small_scene(folder), load_plan(file), part_facts(small_scene(folder))),
+        "page.html": page(scene, part_facts(scene)),
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text)

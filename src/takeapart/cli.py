@@ -107,7 +107,7 @@ def _complain(message: str) -> None:
     epilog=paragraph(
         "Exit codes:",
         "  0    done",
-        "  2    broken input or misuse; one line says what, where, and what would be valid",
+        "  2    broken input or misuse: one line says what, where and what is valid",
         "  3    no feasible order",
         "  4    a plan did not pass its verification",
         "  130  stopped by Ctrl-C before there was anything to keep",

@@ -26,7 +26,7 @@ SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "
 
 @click.command(
     short_help="Compare the searches at equal cost.",
-    epilog=examples("takeapart compare data/single --budget-queries 300 --seeds 3 --out out/single"),
+    epilog=examples("takeapart compare data/single --budget-queries 300 --seeds 3"),
 )
 @click.argument("dataset", type=FILE)
 @click.option("--budget-queries", type=click.IntRange(1), required=True, help="Removal queries that every run may ask.")

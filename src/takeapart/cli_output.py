@@ -189,9 +189,10 @@ def make_folder(path: Path) -> None:
     Raises:
         InputError: it cannot be made, or no file can be made in it.
     """
-    from takeapart.documents import require_writable
+    from takeapart.documents import require_names, require_writable
 
     try:
+        require_names(path)  # so that no folder is left behind above one that cannot be made
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         raise InputError(f"the folder cannot be made: {reason(error)}", shown(path)) from None

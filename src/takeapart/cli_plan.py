@@ -48,8 +48,9 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     short_help="Plan the disassembly of an assembly.",
     epilog=examples(
         "takeapart plan product.json",
-        "takeapart plan product.json --workcell cell.toml --seconds 60 --out plans/product.plan.json",
-        "takeapart plan product.json --search mcts --episodes 20 --seed 1 --run runs/first",
+        "takeapart plan product.json --workcell cell.toml --seconds 60",
+        "takeapart plan product.json --out plans/product.plan.json --run runs/first",
+        "takeapart plan product.json --search mcts --episodes 20 --seed 1",
     ),
 )
 @click.argument("assembly", type=FILE)

@@ -56,8 +56,9 @@ def view(
 
     The page plays the plan, step by step and in both directions; a click on a part tells when it leaves, why not
     earlier, and which other removals a run found. Nobody but this machine can reach it. When FILE changes, the page
-    follows; when FILE is damaged, the page says so. With --html a plan becomes one file of a few MB that plays from
-    disk, without a server and without the network. Needs the extra "view": pip install 'takeapart[view]'.
+    follows; when FILE is damaged, the page says so. With --html an assembly or a plan becomes one file of a few
+    MB that plays from disk, without a server and without the network. Needs the extra "view": pip install
+    'takeapart[view]'.
     """
     if html is not None:
         if port is not None or open_browser:

@@ -205,11 +205,30 @@ def require_writable(path: str | os.PathLike[str]) -> None:
             folder = folder.parent
         if not folder.is_dir():
             raise InputError(f"cannot be written: {shown(folder)} is a file, not a folder", where)
+        require_names(target)
         probe = folder / f".{target.name[:100]}.{secrets.token_hex(6)}.tmp"
         os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
         os.unlink(probe)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be written: {reason(error)}", where) from None
+
+
+def require_names(path: Path) -> None:
+    """Finds out whether all names of a path are possible, also those below a folder that is not there yet.
+
+    The system itself looks no further than to the first that is missing.
+
+    Raises:
+        OSError: a name is too long for its file system.
+    """
+    folder = path.absolute()
+    missing: list[str] = []
+    while not folder.exists() and folder != folder.parent:
+        missing.append(folder.name)
+        folder = folder.parent
+    for name in missing:
+        with contextlib.suppress(FileNotFoundError):
+            os.stat(folder / name)
 
 
 def _target(path: str | os.PathLike[str], where: str) -> Path:

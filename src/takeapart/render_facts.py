@@ -164,8 +164,8 @@ def why_not_earlier(facts: PartFacts) -> str:
         return "Fixed: it never leaves, and nothing may hit it."
     if not facts.lifts:
         return "It can never be lifted: something that never leaves is in the way."
-    if not facts.step:
-        return "The plan does not remove it." if facts.earliest else ""
+    if not facts.step and facts.earliest:
+        return "The plan does not remove it."
     if not facts.carries and not facts.under:
         start = "Gravity and lifting let it go from the start"
     else:
@@ -177,6 +177,8 @@ def why_not_earlier(facts: PartFacts) -> str:
         start = f"At the start {', and '.join(reasons)}"
         if facts.earliest:
             start += f"; that ends in step {facts.earliest}, when {facts.freed_by} is gone"
+    if not facts.step:  # no plan
+        return f"{start}."
     if facts.earliest == facts.step:
         return f"{start}: it leaves at the first moment that they allow."
     return f"{start}. The order of the plan has it in step {facts.step}."

@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.documents import canonical_json, read_json, readable_json, write_atomically
+from takeapart.documents import canonical_json, read_json, readable_json, require_names, write_atomically
 from takeapart.errors import InputError
 from takeapart.files import load_plan, save_plan
 from takeapart.messages import reason, shortened, shown
@@ -96,6 +96,7 @@ def open_run(folder: Path, identity: Identity) -> Iterator[Run]:
         InputError: the directory is not one of a run, belongs to another run, is in use, damaged, read-only or full.
     """
     try:
+        require_names(folder)
         folder.mkdir(parents=True, exist_ok=True)
         _require_run_folder(folder)
     except OSError as error:

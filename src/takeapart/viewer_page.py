@@ -1,4 +1,4 @@
-"""A plan as one HTML file that plays from disk, without a server and without the network.
+"""An assembly or a plan as one HTML file that plays from disk, without a server and without the network.
 
 The file holds the arm's meshes, the parts, the joint paths and what is told of each part as data, and a player in plain
 JavaScript and WebGL (`viewer_assets`). The player computes the arm's forward kinematics itself.
@@ -24,7 +24,6 @@ from takeapart.documents import write_atomically
 from takeapart.errors import InputError
 from takeapart.geometry import Array
 from takeapart.messages import shown
-from takeapart.plan import Plan
 from takeapart.render_facts import PartFacts, part_facts, why_not_earlier
 from takeapart.render_robot import BROWSER_CELL, Mesh, RobotVisual, coarser
 from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene, view_of
@@ -46,31 +45,31 @@ def save_page(
     assembly: Path | None = None,
     workcell: str | None = None,
 ) -> None:
-    """Write the page of a plan file or a run directory, atomically.
+    """Write the page of an assembly, a plan or a run directory, atomically.
 
     Args:
-        path: of the plan or run.
+        path: of the file or directory; of an assembly the page shows the parts, there is nothing to play.
         out: the HTML file.
         assembly, workcell: as for `takeapart.render_subject.load_subject`.
 
     Raises:
-        InputError: there is no plan, it does not belong to its assembly, the page would exceed 10 MB, or it cannot be
-            written.
+        InputError: the run has no plan yet, a plan does not belong to its assembly, the page would exceed 10 MB, or it
+            cannot be written.
     """
     subject = load_subject(Path(path), assembly, workcell)
-    if subject.plan is None:
-        raise InputError("holds no plan (a run has one once its search has ended)", shown(path))
+    if subject.run is not None and subject.plan is None:
+        raise InputError("holds no plan yet; a run has one once its search has ended", shown(path))
     answers = recorded_answers(subject.run / JOURNAL) if subject.run else []
     scene = PlanScene(subject.assembly, subject.workcell, subject.plan)
-    text = page(scene, subject.plan, part_facts(scene, answers))
+    text = page(scene, part_facts(scene, answers))
     if len(text) > MAXIMUM_BYTES:
         raise InputError(f"the page would have {len(text) / 2**20:.1f} MiB; at most 10 are written", shown(out))
     write_atomically(out, text)
 
 
-def page(scene: PlanScene, plan: Plan, facts: Sequence[PartFacts]) -> str:
-    """The HTML document of a plan."""
-    return assembled(json.dumps(document(scene, plan, facts), separators=(",", ":"), allow_nan=False))
+def page(scene: PlanScene, facts: Sequence[PartFacts]) -> str:
+    """The HTML document of an assembly or a plan."""
+    return assembled(json.dumps(document(scene, facts), separators=(",", ":"), allow_nan=False))
 
 
 def assembled(data: str) -> str:
@@ -83,19 +82,21 @@ def assembled(data: str) -> str:
     return html.replace("0/*checksum*/", str(zlib.crc32(data.encode()))).replace("/*data*/", data)
 
 
-def document(scene: PlanScene, plan: Plan, facts: Sequence[PartFacts]) -> dict[str, Any]:
-    """All that the player knows, as JSON holds it: m, rad; poses row by row."""
-    view = view_of(scene)
+def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
+    """All that the player knows, as JSON holds it: m, rad; poses row by row. Without a plan there are no steps."""
+    view, plan, name = view_of(scene), scene.plan, scene.assembly.name
     return {
         "format": FORMAT,
         "version": VERSION,
-        "title": f"{plan.direction.capitalize()} of {plan.assembly}",
-        "direction": plan.direction,
-        "workcell": plan.workcell,
-        "total": plan.total_length,
-        "bounds": {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
-        "bounds_note": explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
-        "counts": plan.counts,
+        "title": name if plan is None else f"{plan.direction.capitalize()} of {name}",
+        "direction": scene.direction,
+        "workcell": scene.workcell.name,
+        "total": None if plan is None else plan.total_length,
+        "bounds": {}
+        if plan is None
+        else {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
+        "bounds_note": "" if plan is None else explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
+        "counts": {} if plan is None else plan.counts,
         "colors": {"current": CURRENT, "path": PATH, "goal": GOAL, "obstacle": STEEL},
         "parts": [_part(scene, i, each) for i, each in enumerate(facts)],
         "steps": [_step(scene, k) for k in range(len(scene.steps))],

@@ -26,7 +26,7 @@ from typing import Any
 import polars as pl
 
 from takeapart.assembly import Assembly
-from takeapart.documents import write_atomically
+from takeapart.documents import require_names, write_atomically
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.files import load_assembly, save_assembly
 from takeapart.guide.experience_checks import HASH_LETTERS, SCHEMA, checked_table, read_rows
@@ -77,6 +77,7 @@ class ExperienceWriter:
         self._oldest = 0.0
         self._lock = threading.Lock()
         try:
+            require_names(path)
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"no folder for experience can be made there: {reason(error)}", shown(path)) from None

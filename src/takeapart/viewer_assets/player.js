@@ -4,19 +4,19 @@
 function fail(message) {
   const box = document.getElementById("error");
   box.hidden = false;
-  box.replaceChildren(Object.assign(document.createElement("b"), { textContent: "This plan cannot be shown" }),
+  box.replaceChildren(Object.assign(document.createElement("b"), { textContent: "This cannot be shown" }),
                       document.createTextNode(message));
   window.takeapart = { error: message };
 }
 
 function readData() {
   const element = document.getElementById("data");
-  if (!element || !element.textContent.trim()) throw new Error("The file ends before the plan: it was cut off.");
+  if (!element || !element.textContent.trim()) throw new Error("The file ends before its data: it was cut off.");
   const text = element.textContent.trim();
   if (crc32(text) !== window.takeapartChecksum)
-    throw new Error("The plan in this file is damaged: its checksum does not fit. Ask for the file again.");
+    throw new Error("The data in this file are damaged: their checksum does not fit. Ask for the file again.");
   const data = JSON.parse(text);
-  if (data.format !== "takeapart/page" || data.version !== 1) throw new Error("The file holds no plan of a known version.");
+  if (data.format !== "takeapart/page" || data.version !== 1) throw new Error("The file holds nothing of a known version.");
   for (const step of data.steps) {
     step.joints = new Float32Array(bytes(step.joints));
     step.along = new Float32Array(bytes(step.along));
@@ -136,7 +136,7 @@ class Player {
     this.picked = i;
     const box = document.getElementById("picked"), make = (tag, text, kind) => Object.assign(document.createElement(tag), { textContent: text, className: kind || "" });
     box.replaceChildren();
-    if (i === null) box.append(make("p", "Click a part to see when it leaves, and why not earlier.", "soft"));
+    if (i === null) box.append(make("p", this.data.steps.length ? "Click a part to see when it leaves, and why not earlier." : "Click a part to see its size and mass, and what has to leave before it.", "soft"));
     else {
       const part = this.data.parts[i], k = this.data.steps.findIndex(step => step.part === i), heading = make("h2", part.name);
       const spot = make("span", "", "dot"); spot.style.background = part.color; heading.prepend(spot);
@@ -176,7 +176,10 @@ class Player {
   controls() {
     const get = id => document.getElementById(id), { data } = this;
     document.title = get("title").textContent = data.title;
-    const rows = [["total gripper path", metres(data.total)]];
+    const removable = data.parts.filter(part => !part.fixed).length;
+    const rows = data.steps.length ? [["total gripper path", metres(data.total)]]  // otherwise there is nothing to play
+      : [["parts", data.parts.length], ["removable", removable]];
+    for (const id of ["bar", "list", "now"]) get(id).hidden = !data.steps.length;
     for (const [name, bound] of Object.entries(data.bounds))
       if (bound) rows.push([name, metres(bound)],
         [name.startsWith("sequence") ? "sequence gap" : "proved gap", `${(100 * (data.total - bound) / bound).toFixed(1)}%`]);
@@ -199,12 +202,13 @@ class Player {
     const canvas = this.painter.canvas;
     canvas.addEventListener("click", e => { if (this.orbit.moved < 6) this.pick(e.offsetX, e.offsetY); });
     window.addEventListener("keydown", e => {
-      if (e.target.matches("input,select,button")) return;
+      if (e.target.matches("input,select,button") || !data.steps.length) return;
       if (e.key === " ") { e.preventDefault(); this.playing ? this.pause() : this.play(); }
       if (e.key === "ArrowRight") this.jump(1);
       if (e.key === "ArrowLeft") this.jump(-1);
     });
     this.list();
+    this.choose(null);
   }
 
   list() {
