@@ -472,7 +472,7 @@ def test_trees_find_a_path_where_legs_find_none_and_so_many_are_enough(robot: Ro
         planner = planner_of_trees(robot, workcell, parts, tree_paths=paths, tree_failures=6)
         removal = planner.plan(0, 0b1, rng=np.random.default_rng(0))
         assert isinstance(removal, Removal)
-        assert removal.length < 1.5 * planner.straight_line_bound(0)
+        assert removal.length < 1.5 * planner.candidate_bound(0)
         assert 1 <= planner.counts.motion_plans < paths + 6
     none = planner_of_trees(robot, workcell, parts, tree_failures=0)
     answer = none.plan(0, 0b1, rng=np.random.default_rng(0))

@@ -208,7 +208,7 @@ def test_lengths_are_told_to_a_micrometre(share: float, refused: bool, sign: int
     told(check_length(step, 4, OPTIONS), "length", refused, 1e-6 * share)
     total = replace(plan, total_length=plan.total_length + sign * 3e-6 * share)  # a micrometre for each of three steps
     told(check_total(total, OPTIONS), "total_length", refused)
-    bound = straight_line_bound(scene_assembly(), scene_workcell(), OPTIONS) + sign * 1e-6 * share
+    bound = straight_line_bound(scene_assembly(), scene_workcell()) + sign * 1e-6 * share
     told(bounds(replace(plan, straight_line_bound=bound)), "bound", refused)
 
 
