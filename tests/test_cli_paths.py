@@ -151,6 +151,12 @@ def test_all_commands_and_all_their_paths_are_tried() -> None:
     assert {option for command in COMMANDS for option in path_options(command)} == PATHS
 
 
+@pytest.mark.parametrize("command", ["show", "view", "plan", "verify"])
+def test_a_link_to_itself_is_told_from_a_file_that_is_not_there(command: str, folder: Path) -> None:
+    for name, told in (("loop", "symbolic links"), ("nothing", "there is no such file")):
+        assert told in CliRunner().invoke(main, [command, name]).stderr
+
+
 def test_outputs_in_new_folders_are_made(folder: Path) -> None:
     done = CliRunner().invoke(main, ["assemble", "p.json", "--out", "new/deep/o.json"])
     assert done.exit_code == 0 and (folder / "new/deep/o.json").is_file()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +50,7 @@ def show(file: Path, assembly: Path | None, as_json: bool) -> None:
     from takeapart.documents import read_json
     from takeapart.files import MAXIMUM_PLAN_BYTES, load_assembly, load_plan, load_workcell
 
-    if file.suffix == ".toml" or (not file.suffix and not file.exists()):
+    if file.suffix == ".toml" or (not file.suffix and not os.path.lexists(file)):
         try:
             workcell = load_workcell(str(file))
         except UnknownNameError as error:

@@ -22,6 +22,7 @@ from takeapart.cli_output import (
     require_output,
 )
 from takeapart.errors import InputError, TakeapartError
+from takeapart.messages import reason, shown
 
 if TYPE_CHECKING:
     from takeapart.assembly import Assembly
@@ -65,8 +66,12 @@ def view(
             raise click.UsageError("--html writes a file and serves nothing; leave out --port and --open")
         _write_page(file, html, assembly, workcell, as_json)
         return
-    if not file.exists():
-        raise InputError("there is no such file", str(file))
+    try:
+        file.stat()
+    except FileNotFoundError:
+        raise InputError("there is no such file", shown(file)) from None
+    except OSError as error:
+        raise InputError(f"cannot be read: {reason(error)}", shown(file)) from None
     from takeapart.viewer import Viewer
 
     viewer = Viewer(port)
