@@ -195,6 +195,12 @@ def test_a_bar_lies_on_a_bar_along_z_that_its_own_connector_holds() -> None:
     assert unsupported(Assembly("demo", (BASE, POST, LINTEL), (FOOT,))) == ("lintel",)
 
 
+def test_a_bar_does_not_lie_on_a_post_that_hangs_in_its_u() -> None:
+    """Only an O is a cap that sits on the post: a U is open at its top, so its host does not rest on what is in it."""
+    hanging = holder("U", LINTEL, POST, (0, 0.011, 0.2))
+    assert unsupported(Assembly("demo", (BASE, POST, LINTEL), (FOOT, hanging))) == ("lintel",)
+
+
 def test_a_bar_that_hosts_the_foot_of_a_post_is_not_carried_by_the_post() -> None:
     loose = bar("loose", (0, 0, 0), (0.4, 0.02, 0.02))
     ground = bar("ground", (0, 0, -0.2), (0.4, 0.02, 0.02), fixed=True)
