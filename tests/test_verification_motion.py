@@ -142,6 +142,32 @@ def test_no_joint_turns_further_than_the_options_say_between_two_configurations(
         assert result.configurations >= 1 + share * turn / np.radians(0.5)
 
 
+# --- lift and clearance
+
+
+@pytest.mark.parametrize(("height", "refused"), [(0.0495, True), (0.0498, True), (0.05, False)])
+def test_a_part_goes_aside_no_earlier_than_at_the_full_height(replay: Replay, height: float, refused: bool) -> None:
+    step, base = scene_plan().steps[2], scene_workcell().T_world_base
+    start = step.tool_path[0, :3]
+    corners = [start, start + [0, 0, height], start + [0.01, 0, height], start + [0.01, 0, 0.06]]
+    joints = line_path(corners, DOWNWARDS["y"], base, step.joint_path[0])
+    assert bool(findings_along(replay, 2, joints, "lift")) == refused
+
+
+@pytest.mark.parametrize(("lowered", "least"), [(0.0, 0.0005), (0.0015, 0.0015), (0.0025, 0.0025)])
+def test_the_smallest_clearance_is_told_also_where_it_is_more_than_demanded(lowered: float, least: float) -> None:
+    """The fingertips reach to 0.5 mm above the block on which the loose bar lies; lowered, it is nearer to the bar."""
+    assembly = scene_assembly()
+    parts = list(assembly.parts)
+    block = assembly.index["block"]
+    parts[block] = replace(parts[block], T_world_part=parts[block].T_world_part @ pose([0.0, 0.0, -lowered]))
+    looking = Replay(replace(assembly, parts=tuple(parts)), scene_workcell(), VerificationOptions())
+    step = scene_plan().steps[2]
+    clearance = looking.step(moved(step, step.joint_path[:4]), 2, assembly.root).clearance
+    assert clearance is not None and clearance.second == "part/block"
+    assert clearance.distance == pytest.approx(least, abs=1e-6)
+
+
 # --- neighbours
 
 
