@@ -62,7 +62,11 @@ class Area:
 SEARCHES = ("lattice", "mcts", "baselines", "exact", "best_first", "refinement", "order_search", "determinism")
 AREAS = {
     "verification": Area(
-        ("verification*.py",), ("verification", "verification_holes", "verification_motion", "carrying")
+        ("verification*.py",),
+        (
+            *("verification_tolerances", "verification_motion", "verification_holes", "verification"),
+            *("carriers", "carrying"),
+        ),
     ),
     "motion": Area(("motion/*.py",), (), ("motion_proofs", "motion")),
     "kernels": Area(
@@ -72,7 +76,7 @@ AREAS = {
     ),
     "removal": Area(("removal/*.py",), ("bounds", "carrying", "removal", "planning")),
     "search": Area(("search/*.py",), SEARCHES, SEARCHES),
-    "stability": Area(("stability.py", "problem.py"), ("stability", "carrying", "problem", "planning")),
+    "stability": Area(("stability.py", "problem.py"), ("carriers", "stability", "carrying", "problem", "planning")),
     "runs": Area(("run.py", "run_journal.py"), ("faults",)),
 }
 
