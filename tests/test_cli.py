@@ -12,7 +12,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import click
@@ -23,14 +22,12 @@ from rich.console import Console
 import takeapart
 from example_documents import snapshot
 from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
-from takeapart import cli_compile, cli_generate, cli_plan, compilation, files, planning, profiles
+from takeapart import cli_compile, cli_generate, cli_plan, files, planning, profiles
 from takeapart.assembly import Assembly
 from takeapart.cli import main
 from takeapart.cli_output import progress_of
-from takeapart.compilation import is_compiled
 from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
 from takeapart.removal.planner import RemovalPlanner
-from takeapart.robot import kernels
 from verification_scene import scene_plan
 
 SOURCE = Path(takeapart.__file__).resolve().parents[1]
@@ -43,7 +40,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         save_assembly(assembly, tmp_path / f"{assembly.name}.json")
     (tmp_path / "cell.toml").write_text(WORKCELL)
     (tmp_path / "old.json").write_text("an earlier plan")
-    monkeypatch.setattr(compilation, "is_compiled", lambda module: True)  # whether the cache is warm or not: no notice
+    monkeypatch.setattr(cli_compile, "missing", lambda orders: {})  # whether the cache is warm or not: no notice
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -658,32 +655,11 @@ def test_generate_with_the_removal_planner(folder: Path) -> None:
     assert {e["part"]: e["removable"] for e in json.loads(check.stdout)["parts"]}[made.witness[0]]
 
 
-def test_a_cold_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Cache:
-        cache_path = str(tmp_path)
-
-    class Kernel:
-        _cache = Cache()
-
-    module = ModuleType("takeapart.robot.example")
-    source = tmp_path / "example.py"
-    source.write_text("")
-    module.__file__ = str(source)
-    assert is_compiled(module)  # it has no kernels
-    vars(module)["kernel"] = Kernel()
-    assert not is_compiled(module)
-    index = tmp_path / "example.kernel-1.py311.nbi"
-    index.write_text("")
-    assert is_compiled(module)
-
-
-def test_kernels_are_found_in_numba_s_cache(folder: Path) -> None:
-    assert plan("two-bars.json").exit_code == 0  # compiles, or loads, what it needs
-    assert is_compiled(kernels)
-
-
 def test_the_notice_of_compiling(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilation, "is_compiled", lambda module: False)
+    compiled: list[str] = []
+    monkeypatch.setattr(cli_compile, "missing", lambda orders: {"kernel": None})
+    monkeypatch.setattr(cli_compile, "_compile", lambda units, workcell, update: compiled.extend(units))
     result = plan("two-bars.json")
     assert result.exit_code == 0
     assert result.stderr == f"{cli_compile.NOTICE}\n"
+    assert compiled == ["kernel"]

@@ -17,6 +17,7 @@ PACKAGE = ROOT / "src" / "takeapart"
 # that match the same name may import each other.
 LAYERS = """
 errors
+caching
 compilation
 geometry
 assembly

@@ -1,99 +1,137 @@
-"""Compiles the kernels before the work starts, and says so: the first time takes a minute or two.
+"""Compiles the kernels before the work starts, in several processes, and says so: the first time takes a minute.
 
 Otherwise the time limit of a first search would be spent on compiling. What was compiled is kept in numba's cache.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+import fcntl
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from takeapart.cli_output import note
+from takeapart.cli_output import note, progress_bar
 
 if TYPE_CHECKING:
-    from takeapart.removal.result import Blocked, Counts, Effort, Removal
+    from takeapart.cli_kernels import Unit
     from takeapart.workcell import Workcell
 
-NOTICE = "compiling the geometry kernels for the first time, which takes a minute or two"
+NOTICE = "compiling the geometry kernels for the first time, which takes about a minute"
+WORKERS = 8  # at most; what kernels have in common is compiled one after another
+TABLES_NEED = ("robot.separation.separation", "robot.self_collision._fill")
 
 
-def compile_first(workcell: Workcell) -> None:
-    """Compiles all kernels unless they are in the cache already, with a notice on standard error.
+def compile_first(workcell: Workcell, orders: bool = True) -> None:
+    """Compiles the kernels that are not in the cache yet, with a notice on standard error and a progress bar.
+
+    Args:
+        workcell: its robot is loaded meanwhile: the distances of its links are worked out once, too.
+        orders: also the kernels of the search for orders of removals.
 
     Raises:
-        InputError: the robot's files are missing.
+        InputError: no folder can be written for the machine code, or somebody else can write to it.
     """
-    from takeapart.compilation import is_compiled
-    from takeapart.motion import blockers, edges, legs, lifts, rrt, smooth
-    from takeapart.robot import grid, hand, kernels, kinematics
-    from takeapart.search import lattice, lattice_bounds
+    from takeapart.caching import chosen_folder
 
-    geometry = (grid, kinematics, kernels, hand, edges, blockers, lifts, legs, rrt, smooth)
-    if all(is_compiled(module) for module in (*geometry, lattice, lattice_bounds)):
+    chosen = chosen_folder()
+    if chosen.remark:
+        note(chosen.remark)
+    if not missing(orders):
         return
     note(NOTICE)
-    _plan_one_removal(workcell)
-    _order_two_parts()
+    with progress_bar("compiling") as update, _alone():
+        left = missing(orders)  # somebody else may have been at it
+        try:
+            _compile(left, workcell, update)
+        except BrokenProcessPool:
+            note("a process that compiled was ended; what is missing is compiled when it is first needed")
 
 
-def _plan_one_removal(workcell: Workcell) -> None:
-    """Has the removal planner go through all its stages once, for a loose bar near the goal that stands in the way."""
-    import numpy as np
+def missing(orders: bool) -> dict[str, Unit]:
+    """What is not in the cache, by name, in the order in which it should be compiled.
 
-    from takeapart.assembly import Assembly, Part
-    from takeapart.geometry import Box, pose
-    from takeapart.removal.planner import RemovalOptions, RemovalPlanner
+    What is only there to become part of others is not missing where they are there.
+    """
+    from takeapart.cli_kernels import called_by, units
+    from takeapart.compilation import has_machine_code
 
-    # Without tries for straight paths and bends, the trees have to find the path.
-    options = RemovalOptions(straight_attempts=0, bend_attempts=0)
-    base = workcell.T_world_base[:3, 3]
-    towards = workcell.goal[:2] - base[:2]
-    distance = max(float(np.linalg.norm(towards)), 1e-9)
-    for turn in (0.6, -0.6, 1.2):  # rad, around the arm's base, until a place is reached
-        rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        x, y = base[:2] + rotation @ (towards / distance) * 0.45
-        bar = Part("bar", Box((0.02, 0.16, 0.02)), pose([x, y, base[2] + 0.2]), 0.1)
-        planner = RemovalPlanner(Assembly("bar", (bar,)), workcell, options)
-        planner.plan(0, 1, rng=np.random.default_rng(0))
-        if planner.counts.motion_plans:
-            return
+    found = {
+        name: unit for name, unit in units(orders).items() if not has_machine_code(unit.dispatcher, unit.signature)
+    }
+    outer = {name: called_by(unit.function) for name, unit in found.items() if not unit.inner}
+    return {
+        name: unit
+        for name, unit in found.items()
+        if not unit.inner or any(unit.function in called for called in outer.values())
+    }
 
 
-class _TwoParts:
-    """Two parts that leave in any order, at a fixed length; no geometry."""
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Holds the right to compile: of two commands that start together one waits, and finds the work done."""
+    from takeapart.caching import cache_folder
 
-    root = 0b11
-    hindered_by = (0, 0)  # with it the enumeration of states is the compiled one
-
-    def __init__(self, counts: Counts) -> None:
-        self.counts = counts
-
-    def candidates(self, state: int) -> Sequence[int]:
-        return [part for part in range(2) if state >> part & 1]
-
-    def upper(self, state: int, part: int) -> float:
-        return math.inf
-
-    def lower(self, state: int, part: int) -> float:
-        return 0.0
-
-    def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
-        import numpy as np
-
-        from takeapart.plan import Grasp
-        from takeapart.removal.result import Removal
-
-        grasp = Grasp(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), 0.02)
-        return Removal(part, grasp, np.zeros((2, 1)), np.zeros((2, 7)), 1.0, 0)
+    with open(cache_folder() / "compiling.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield  # the system takes the lock back, however the process ends
 
 
-def _order_two_parts() -> None:
-    from takeapart.removal.result import Counts
-    from takeapart.search.exact import ExactOptions, exact
-    from takeapart.search.result import Budget
+def _compile(units: Mapping[str, Unit], workcell: Workcell, update: Callable[[str, float | None], None]) -> None:
+    """Compiles everything in several processes; what others contain before them, so that they find it in the cache."""
+    from takeapart.cli_kernels import called_by
 
-    exact(_TwoParts(Counts()), ExactOptions(), Budget())
+    functions = {unit.function: name for name, unit in units.items()}
+    needs = {name: {functions[f] for f in called_by(unit.function) if f in functions} for name, unit in units.items()}
+    tables = "distances between the robot's links"
+    if any(name in units for name in TABLES_NEED):
+        needs = {tables: {name for name in TABLES_NEED if name in units}} | needs
+    total, done = len(needs), 0
+    count = min(len(os.sched_getaffinity(0)), WORKERS, total)
+    pool = _open_pool(count)
+    running: dict[Future[None], str] = {}
+    try:
+        while needs or running:
+            waiting_for = {*needs, *running.values()}
+            for name in [name for name, needed in needs.items() if not needed & waiting_for]:
+                if len(running) < count:
+                    job = pool.submit(_load, workcell) if name == tables else pool.submit(compile_unit, name)
+                    running[job] = name
+                    del needs[name]
+            update(", ".join(running.values()), done / total)
+            for job in wait(running, return_when=FIRST_COMPLETED).done:
+                del running[job]
+                job.result()
+                done += 1
+    except BaseException:
+        for process in list((pool._processes or {}).values()):
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _open_pool(count: int) -> ProcessPoolExecutor:
+    from takeapart.experiments.workers import prepare_process
+
+    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=prepare_process)
+
+
+def compile_unit(name: str) -> None:
+    """Compiles one unit of `cli_kernels` to the cache."""
+    from takeapart.cli_kernels import units
+
+    unit = units(orders=True)[name]
+    unit.dispatcher.compile(unit.signature)
+
+
+def _load(workcell: Workcell) -> None:
+    from takeapart.robot.model import load_robot
+
+    load_robot(workcell)
 
 
 if __name__ == "__main__":  # before tests that run side by side, so that they do not all compile the same

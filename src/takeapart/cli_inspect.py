@@ -219,7 +219,7 @@ def explain(assembly: Path, workcell: str, without: tuple[str, ...], attempts: i
         raise InputError(f"part {fixed[0]!r} is fixed and never leaves; give removable parts", "--without")
     state = product.root & ~gone
     require_support(product)
-    compile_first(cell)
+    compile_first(cell, orders=False)
     lengths: dict[str, float] = {}
     refusals: list[Blocked] = []
     with progress_bar(f"asking for the parts of {product.name}") as update:

@@ -2,61 +2,100 @@
 
 numba keeps the machine code of a function as long as the function's own file does not change. A kernel contains the
 code of the kernels that it calls, also of those in other files, so that is not enough: here the folder of the machine
-code is named after the content of all sources with kernels that can call each other, and changing any of them compiles
-anew.
+code is named after the content of all sources with kernels that can call each other, and after the compiler with its
+settings; changing any of them compiles anew.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
-import os
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from types import ModuleType
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
+import llvmlite  # type: ignore[import-untyped]
 import numba
+from numba.core import types
+
+from takeapart.caching import cache_folder, planted
+from takeapart.errors import InputError
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
-
-def cache_folder() -> Path:
-    """Where results that only cost time are kept: TAKEAPART_CACHE, or takeapart/ in the user's cache folder."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(os.environ.get("TAKEAPART_CACHE") or str(Path(base) / "takeapart"))
+# What the environment can ask of numba that ends up in machine code, and that numba's own cache does not look at.
+SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
+CALLED = "called"  # folder for the machine code of kernels that are part of others, where Python calls them
 
 
-def _sources_digest(folders: Sequence[str]) -> str:
-    """Digest of the sources in some folders of the package that hold kernels, or the types that kernels work on."""
+def _digest(folders: Sequence[str]) -> str:
+    """Digest of the sources in some folders of the package that hold kernels, or the types that kernels work on, of
+    this file, and of the compiler with its settings.
+    """
     package = Path(__file__).parent
+    sources = [source for folder in folders for source in sorted((package / folder).glob("*.py"))]
     digest = hashlib.sha256()
-    for folder in folders:
-        for source in sorted((package / folder).glob("*.py")):
-            text = source.read_bytes()
-            if b"@compiled" in text or source.name == "arrays.py":
-                digest.update(source.name.encode() + text)
+    for source in (*sources, Path(__file__)):
+        content = source.read_bytes()
+        if b"@compiled" in content or source.name in ("arrays.py", Path(__file__).name):
+            digest.update(f"{source.name} {len(content)}:".encode() + content)
+    settings = [f"{name}={getattr(numba.config, name)}" for name in SETTINGS]
+    digest.update(" ".join([llvmlite.__version__, *settings]).encode())
     return digest.hexdigest()[:16]
 
 
 @cache
-def _kernel_folder(module: str) -> str:
-    """Folder for the machine code of a module: geometry calls no kernels of the searches, nor they any of it."""
+def _kernel_folder(module: str) -> Path:
+    """Folder for the machine code of a module: geometry calls no kernels of the searches, nor they any of it.
+
+    Raises:
+        InputError: somebody else can write what stands in it.
+    """
     group = ("search",) if module.startswith("takeapart.search") else ("robot", "motion")
-    return str(cache_folder() / f"{group[0]}-kernels-{numba.__version__}-{_sources_digest(group)}")
+    folder = cache_folder() / f"{group[0]}-kernels-{numba.__version__}-{_digest(group)}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    doubtful = planted(folder)
+    if doubtful is not None:
+        raise InputError(f"{doubtful} is, or can be, written by others, and would be run; remove {folder}")
+    return folder
 
 
-def _options(function: Callable[..., Any], **more: Any) -> dict[str, Any]:
-    # numba decides where a function's machine code goes when it is decorated.
-    numba.config.CACHE_DIR = _kernel_folder(function.__module__)  # type: ignore[attr-defined]
-    return {"cache": True, "nogil": True, **more}
+def _dispatcher(function: Callable[..., Any], part: str = "", **options: Any) -> Any:
+    # numba decides where a function's machine code goes when it is decorated. Without a folder that can be written, it
+    # would put it among the sources. Nothing uses the wrapper for C, which contains the whole kernel once more.
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(_kernel_folder(function.__module__) / part)  # type: ignore[attr-defined]
+    try:
+        njit: Any = numba.njit  # numba's stubs do not know all of its options
+        return njit(cache=True, nogil=True, no_cfunc_wrapper=True, **options)(function)
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
     """Compiles a kernel when it is first called, without the interpreter lock, and keeps the machine code on disk."""
-    kernel: Callable[Parameters, Result] = numba.njit(**_options(function))(function)
-    return kernel
+    return cast("Callable[Parameters, Result]", _dispatcher(function))
+
+
+class LeanKernel(Generic[Parameters, Result]):
+    """A kernel that other kernels call; see `compiled_lean` and `compiled_apart`.
+
+    It is compiled in two forms, each when it is needed: the one for other kernels has no wrapper that Python could
+    call, since a wrapper would hold all of the kernel's code again, in every one of them. That halves the time to
+    compile. Python calls another form, for itself.
+    """
+
+    def __init__(self, function: Callable[Parameters, Result], inline: bool) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self.inner = _dispatcher(function, _nrt=False, forceinline=inline, no_cpython_wrapper=True)
+        self.called = _dispatcher(function, CALLED, _nrt=False)
+        self._numba_type_ = types.Dispatcher(self.inner)  # what numba takes the object for inside other kernels
+
+    def __call__(self, *arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
+        return cast("Result", self.called(*arguments, **named))
 
 
 def compiled_lean(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
@@ -67,19 +106,36 @@ def compiled_lean(function: Callable[Parameters, Result]) -> Callable[Parameters
     handing them on: a call copies seven words for each. The caller holds the arrays as long as the kernel runs, so
     nothing is lost.
     """
-    # numba's stubs do not know `_nrt`.
-    kernel: Callable[Parameters, Result] = numba.njit(**_options(function, _nrt=False, forceinline=True))(function)
-    return kernel
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    return LeanKernel(function, inline=True)
 
 
-def is_compiled(module: ModuleType) -> bool:
-    """Whether the cache holds machine code of a kernel of the module; True for a module without kernels.
-
-    A guess that costs no compilation: numba itself compares versions and processor too.
+def compiled_apart(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+    """As `compiled_lean`, for kernels so large that a call costs nothing beside their work: their code stands once in
+    every caller, not as often as they are called there.
     """
-    name = module.__name__.rpartition(".")[2]
-    # The attributes are numba's: `_cache` of a compiled function, `cache_path` of its cache.
-    caches = [getattr(member, "_cache", None) for member in vars(module).values()]
-    paths = [getattr(cache, "cache_path", None) for cache in caches]
-    folders = {Path(path) for path in paths if path}
-    return not folders or any(next(folder.glob(f"{name}.*.nbi"), None) for folder in folders)
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    return LeanKernel(function, inline=False)
+
+
+def has_machine_code(dispatcher: Any, signature: tuple[Any, ...]) -> bool:
+    """Whether the cache holds machine code of a kernel for types of arguments and for this processor.
+
+    numba's own index is asked, as numba will ask it, so nothing is believed that it would compile again: code for
+    another processor or other types, or an entry whose code is missing.
+
+    Args:
+        dispatcher: numba's, of the kernel.
+        signature: types of the arguments, in numba's terms.
+    """
+    # The attributes are numba's own, and not documented: the requirements name the release they belong to.
+    index = dispatcher._cache._cache_file
+    key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
+    try:
+        name = index._load_index().get(key)
+    except Exception:  # whatever pickle makes of a damaged file
+        Path(index._index_path).unlink(missing_ok=True)  # numba would raise the same
+        return False
+    return name is not None and Path(index._data_path(name)).is_file()

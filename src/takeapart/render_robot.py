@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from takeapart.compilation import cache_folder
+from takeapart.caching import cache_folder
 from takeapart.errors import InputError
 from takeapart.geometry import Array, pose
 from takeapart.workcell import RobotDescription

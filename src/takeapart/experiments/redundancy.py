@@ -8,7 +8,6 @@ from random configurations, and lifted in the same manner.
 from __future__ import annotations
 
 import argparse
-import importlib
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from takeapart.assembly import members
 from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.geometry import Array, pose_inverse
 from takeapart.removal.planner import RemovalPlanner
+from takeapart.robot.ik import import_solver
 from takeapart.robot.model import RobotModel, load_robot
 
 
@@ -23,7 +23,7 @@ class MoreSolutions:
     """Stands in for the inverse kinematics: solutions that Newton's method finds from random configurations."""
 
     def __init__(self, robot: RobotModel, count: int, rng: np.random.Generator) -> None:
-        self._solver = importlib.import_module(robot.description.ik_module)
+        self._solver = import_solver(robot.description.ik_module)
         self._T_base_world = pose_inverse(robot.T_world_base)
         self._T_tool_flange = pose_inverse(robot.T_flange_tool)
         self._robot, self._count, self._rng = robot, count, rng

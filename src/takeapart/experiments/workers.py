@@ -59,7 +59,7 @@ class LocalWorkers:
     def __init__(self, count: int) -> None:
         self.count = count
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(count, context, initializer=_prepare_process)
+        self._pool = ProcessPoolExecutor(count, context, initializer=prepare_process)
 
     def submit(self, task: Task, needed: Mapping[str, Files]) -> Future[Answer]:
         """Start a task."""
@@ -75,7 +75,8 @@ class LocalWorkers:
             process.join()
 
 
-def _prepare_process() -> None:
+def prepare_process() -> None:
+    """What a new process does first: Ctrl-C and the end of the main process are no concern of its jobs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the main process decides
     os.environ |= ONE_THREAD  # before torch is imported
     parent = multiprocessing.parent_process()

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from takeapart.compilation import compiled, compiled_lean
+from takeapart.compilation import compiled, compiled_apart, compiled_lean
 from takeapart.motion.scene import (
     HIT,
     MAXIMUM_PIECES,
@@ -45,7 +45,7 @@ def bisection(k: int, count: int) -> int:
     return found
 
 
-@compiled_lean
+@compiled_apart
 def joint_edge_free(scene: Scene, a: Floats, b: Floats) -> bool:
     """Whether the straight joint-space edge is free, end b included.
 
@@ -113,7 +113,7 @@ def project_to_point(scene: Scene, q: Floats, x: float, y: float, z: float) -> b
     return False
 
 
-@compiled_lean
+@compiled_apart
 def tool_edge(scene: Scene, a: Floats, b: Floats, spacing: float, rows: Floats) -> int:
     """Rows (R, n) of the tool-straight edge from a to b, both free, without a, with b; 0 if there is none that is free.
 

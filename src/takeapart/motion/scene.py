@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from takeapart.compilation import compiled_lean
+from takeapart.compilation import compiled_apart, compiled_lean
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Integers, Workspace, WorldArrays
 from takeapart.robot.kernels import FREE, LARGEST_MARGIN, check, placed
 from takeapart.robot.kinematics import forward, place, set_motion, set_still
@@ -102,7 +102,7 @@ def look_at(scene: Scene, a: Floats, b: Floats, first: float, last: float) -> in
     return SMALL if 2.0 * largest <= scene.step else OPEN
 
 
-@compiled_lean
+@compiled_apart
 def piece_free(scene: Scene, a: Floats, b: Floats) -> bool:
     """Whether the straight joint-space motion between two configurations is free.
 

@@ -83,7 +83,7 @@ class WorldArrays(NamedTuple):
     shape: Integers  # (3,) cells along x, y, z
     row_radius: Floats  # (K,) m, ascending; row k of the grid serves balls of at most this radius
     start: Integers  # (K, cells + 1) per row: where the entries of a cell start
-    entry: Integers  # boxes near the cells, row after row
+    entry: Integers  # (E,) boxes near the cells, row after row
     field: Flags  # (cells,) no box that counts is nearer to any point of the cell than this many FIELD_STEP
 
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Protocol
 
@@ -13,6 +17,11 @@ from takeapart.geometry import Array, pose_inverse
 from takeapart.robot.model import RobotModel
 
 NEARLY = 0.1  # rad; where a sample of all solutions is so near to the limits, some may be inside
+
+
+# What the library imports and only its solvers of arms without any structure use: computer algebra, and through the
+# second, scipy's signal processing and statistics. It takes longer to import than a small problem takes to plan.
+POSTPONED = ("sympy", "mpmath", "ssik.solvers.husty_pfurner.general_6r")
 
 
 class Solver(Protocol):
@@ -36,7 +45,7 @@ class InverseKinematics:
 
     def __init__(self, robot: RobotModel) -> None:
         try:
-            self._solver: ModuleType = importlib.import_module(robot.description.ik_module)
+            self._solver = import_solver(robot.description.ik_module)
         except ImportError as error:
             raise MissingExtraError("inverse kinematics", "", "ssik") from error
         self._T_base_world = pose_inverse(robot.T_world_base)
@@ -90,3 +99,27 @@ class InverseKinematics:
     def _to_flange(self, T_world_tool: Array) -> Array:
         T: Array = self._T_base_world @ T_world_tool @ self._T_tool_flange
         return T
+
+
+class _Postponing:
+    """Finds the modules of `POSTPONED` so that they are executed when something of theirs is first used."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(name, path, target) if name in POSTPONED else None
+        if spec is not None and spec.loader is not None:
+            spec.loader = importlib.util.LazyLoader(spec.loader)
+        return spec
+
+
+def import_solver(name: str) -> ModuleType:
+    """A module of the library, by its full name, without what it imports and does not use.
+
+    Raises:
+        ImportError: there is none.
+    """
+    sys.meta_path.insert(0, _Postponing)
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.meta_path.remove(_Postponing)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.compilation import cache_folder
+from takeapart.caching import cache_folder
 
 
 def kept(name: str) -> NDArray[Any] | None:

@@ -11,7 +11,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox, pose_inverse
@@ -336,7 +335,11 @@ def _link_corners(urdf: ElementTree.Element, link: str, description: RobotDescri
         path = description.resolve(element.find("geometry/mesh").get("filename", ""))  # type: ignore[union-attr]
         corners.append(_mesh_corners(str(path), _digest(path)) @ T[:3, :3].T + T[:3, 3])
     together = np.concatenate(corners)
-    return together if len(corners) == 1 else np.asarray(trimesh.convex.convex_hull(together).vertices, dtype=float)
+    if len(corners) == 1:
+        return together
+    import trimesh
+
+    return np.asarray(trimesh.convex.convex_hull(together).vertices, dtype=float)
 
 
 @lru_cache(maxsize=64)
@@ -346,6 +349,8 @@ def _mesh_corners(path: str, digest: str) -> Array:
     known = kept(name)
     if known is not None and known.ndim == 2 and known.shape[1] == 3 and len(known) > 3 and np.isfinite(known).all():
         return np.ascontiguousarray(known, dtype=float)
+    import trimesh  # takes longer to import than all else of the planner, and mostly the corners are there already
+
     found = np.asarray(trimesh.load_mesh(path).convex_hull.vertices, dtype=float)
     keep(name, found)
     return found
@@ -362,6 +367,8 @@ def _mesh_cover(path: str, digest: str, inflation: float) -> SphereCover:
     rows = kept(name)
     if rows is not None and rows.ndim == 2 and rows.shape[1] == 4 and len(rows) > 1 and np.isfinite(rows).all():
         return SphereCover(rows[1:, :3], rows[1:, 3], float(rows[0, 3]))
+    import trimesh
+
     hull = trimesh.load_mesh(path).convex_hull
     found = sphere_cover(
         np.asarray(hull.triangles, dtype=float), np.asarray(hull.face_normals), inflation, np.random.default_rng(0)
@@ -385,6 +392,8 @@ def _finger_boxes(
             if box is not None:
                 found.append((link, OrientedBox(T, _numbers(box.get("size", "")) / 2), direction))
             elif mesh is not None:
+                import trimesh
+
                 bound = trimesh.load_mesh(description.resolve(mesh.get("filename", ""))).bounding_box_oriented.primitive
                 found.append((link, OrientedBox(T @ bound.transform, np.asarray(bound.extents) / 2), direction))
     return found
