@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from takeapart.assembly import Assembly
-from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
@@ -22,6 +21,7 @@ from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
+from takeapart.removal.placement import require_placement
 from takeapart.removal.reach import Reach
 from takeapart.removal.result import Blocked, Counts, Removal
 from takeapart.removal.situation import Situation
@@ -56,7 +56,7 @@ class RemovalPlanner:
         robot: the arm, if it is loaded already.
 
     Raises:
-        InputError: robot files are missing or unusable.
+        InputError: robot files are missing or unusable; home, goal or an obstacle stand where nothing can be planned.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class RemovalPlanner:
         self.assembly, self.workcell, self.options = assembly, workcell, options
         self._patient = replace(options, tree_iterations=LARGER_TREES * options.tree_iterations)
         self.robot = robot or load_robot(workcell)
-        _require_home(workcell, self.robot)
+        require_placement(assembly, workcell, self.robot)
         self.counts = Counts()
         self._parts = len(assembly.parts)
         # Whatever passes a check keeps the workcell's clearance between two checks too.
@@ -247,17 +247,6 @@ class RemovalPlanner:
             if hand.line is not None:
                 common &= hand.line
         return common or situation.others
-
-
-def _require_home(workcell: Workcell, robot: RobotModel) -> None:
-    for joint, angle, low, high in zip(
-        workcell.description.arm_joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
-    ):
-        if not low <= angle <= high:
-            raise InputError(
-                f"joint {joint!r} stands at {angle:.4g} rad; {low:.4g} to {high:.4g} is valid",
-                f"{workcell.name}: robot.home",
-            )
 
 
 def _fewest(masks: Sequence[int]) -> int:

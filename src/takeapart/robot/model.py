@@ -38,6 +38,7 @@ class RobotModel:
         inflation: per covered link, how far its spheres reach beyond its mesh, m.
         bodies: names of the covered links, in the order of the arrays.
         pairs: how each pair of them is checked for meeting the other.
+        hulls: the covered links as convex bodies.
     """
 
     description: RobotDescription
@@ -47,6 +48,7 @@ class RobotModel:
     inflation: Mapping[str, float]
     bodies: tuple[str, ...]
     pairs: tuple[BodyPair, ...]
+    hulls: tuple[ConvexBody, ...]
 
     @property
     def joints(self) -> int:
@@ -225,7 +227,8 @@ def load_robot(workcell: Workcell) -> RobotModel:
     )
     fingers = tuple(_finger_boxes(urdf, joints, description))
     inflation = {link: c.inflation for link, c in zip(bodies, covers, strict=True)}
-    return RobotModel(description, arm, fingers, T_flange_hand @ T_hand_tool, inflation, tuple(bodies), pairs)
+    T_flange_tool = T_flange_hand @ T_hand_tool
+    return RobotModel(description, arm, fingers, T_flange_tool, inflation, tuple(bodies), pairs, tuple(hulls))
 
 
 def _text(element: ElementTree.Element, child: str, attribute: str) -> str:

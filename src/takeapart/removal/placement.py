@@ -1,0 +1,138 @@
+"""Whether planning has a place to start from and to end at: the arm at rest, the goal, obstacles beside the product.
+
+Each of these is asked once, before any removal is planned, and told with the bodies and the distance. Otherwise the
+same fault came back from every part as a removal that does not exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from takeapart.assembly import OVERLAP_TOLERANCE, Assembly
+from takeapart.errors import InputError
+from takeapart.geometry import Array, OrientedBox, box_separation
+from takeapart.robot.kinematics import forward
+from takeapart.robot.model import RobotModel
+from takeapart.workcell import Workcell
+
+
+def require_placement(assembly: Assembly, workcell: Workcell, robot: RobotModel) -> None:
+    """Refuses what no plan can start from or end at.
+
+    Raises:
+        InputError: home is beyond a joint limit or in collision, the goal lies inside what never leaves, or an obstacle
+            reaches into a removable part; the message names the two bodies and the depth.
+    """
+    _require_limits(workcell, robot)
+    _require_free_parts(assembly, workcell)
+    _require_free_goal(assembly, workcell)
+    _require_free_home(assembly, workcell, robot)
+
+
+def overlap_depth(first: Array, second: Array) -> float:
+    """The least translation that parts the convex hulls of two sets of corners (V, 3) and (W, 3), m; 0 where they are
+    apart.
+
+    It is the distance of the origin from the surface of the Minkowski difference (Cameron, Culley: Determining the
+    Minimum Translational Distance between Two Convex Polyhedra, ICRA 1986).
+    """
+    if (first.min(axis=0) > second.max(axis=0)).any() or (second.min(axis=0) > first.max(axis=0)).any():
+        return 0.0
+    first, second = first[ConvexHull(first).vertices], second[ConvexHull(second).vertices]
+    normals = _facet_normals(first, second)
+    # Along a direction n the second body has to move max(n a) - min(n b) to leave the first.
+    shifts = (normals @ first.T).max(axis=1) - (normals @ second.T).min(axis=1)
+    return max(float(shifts.min()), 0.0)
+
+
+def _facet_normals(first: Array, second: Array) -> Array:
+    """Outward unit normals (F, 3) of the facets of the Minkowski difference."""
+    difference = (first[:, None] - second).reshape(-1, 3)
+    return np.asarray(ConvexHull(difference).equations[:, :3])
+
+
+def _require_limits(workcell: Workcell, robot: RobotModel) -> None:
+    for joint, angle, low, high in zip(
+        workcell.description.arm_joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
+    ):
+        if not low <= angle <= high:
+            raise InputError(
+                f"joint {joint!r} stands at {angle:.4g} rad; {low:.4g} to {high:.4g} is valid",
+                f"{workcell.name}: robot.home",
+            )
+
+
+def _require_free_parts(assembly: Assembly, workcell: Workcell) -> None:
+    for part in assembly.parts:
+        for obstacle in () if part.fixed else workcell.environment:
+            depth = max(-_separation(box.moved(part.T_world_part), obstacle.box) for box in part.shape.boxes())
+            if depth > OVERLAP_TOLERANCE:
+                raise InputError(
+                    f"reaches {1e3 * depth:.4g} mm into part {part.name!r} of {assembly.name}; "
+                    f"{1e3 * OVERLAP_TOLERANCE:.1f} mm is allowed",
+                    f"{workcell.name}: obstacle {obstacle.name!r}",
+                )
+
+
+def _require_free_goal(assembly: Assembly, workcell: Workcell) -> None:
+    for name, box in _permanent(assembly, workcell):
+        local = box.T_frame_box[:3, :3].T @ (workcell.goal - box.T_frame_box[:3, 3])
+        depth = float((box.half_extents - np.abs(local)).min())
+        if depth > 0:
+            x, y, z = workcell.goal
+            raise InputError(
+                f"({x:.4g}, {y:.4g}, {z:.4g}) m lies {1e3 * depth:.4g} mm inside {name}; "
+                "the tool ends here, so it must be outside of what never leaves",
+                f"{workcell.name}: goal",
+            )
+
+
+def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel) -> None:
+    work = robot.workspace()
+    forward(robot.arm, np.asarray(workcell.home, dtype=float), work)
+    links = [hull.corners @ work.R[hull.frame].T + work.p[hull.frame] for hull in robot.hulls]
+    bodies = list(zip(robot.bodies, links, strict=True))
+    T_world_tool = robot.tool_pose(workcell.home, work)
+    for (name, _, _), box in zip(robot.fingers, robot.finger_boxes(0.0), strict=True):
+        bodies.append((name, box.moved(T_world_tool).corners()))
+    around = [(name, box.corners()) for name, box in _permanent(assembly, workcell)]
+    for part in assembly.parts:
+        if not part.fixed:
+            around += [(f"part {part.name!r}", box.moved(part.T_world_part).corners()) for box in part.shape.boxes()]
+    meetings = [
+        (overlap_depth(corners, others), link, name)
+        for link, corners in bodies[1:]  # the base may touch what it stands on
+        for name, others in around
+    ]
+    meetings += [
+        (overlap_depth(links[pair.first], links[pair.second]), robot.bodies[pair.first], robot.bodies[pair.second])
+        for pair in robot.pairs
+        if pair.treatment in ("table", "spheres")
+    ]
+    depth, first, second = max(meetings, default=(0.0, "", ""))
+    if depth > OVERLAP_TOLERANCE:
+        raise InputError(
+            f"the arm at rest is in collision: {first} reaches {1e3 * depth:.4g} mm into {second}",
+            f"{workcell.name}: robot.home",
+        )
+
+
+def _permanent(assembly: Assembly, workcell: Workcell) -> Iterator[tuple[str, OrientedBox]]:
+    """What never leaves, by name, in the world frame."""
+    for obstacle in workcell.environment:
+        yield f"obstacle {obstacle.name!r}", obstacle.box
+    for part in assembly.parts:
+        if part.fixed:
+            for box in part.shape.boxes():
+                yield f"fixed part {part.name!r}", box.moved(part.T_world_part)
+
+
+def _separation(first: OrientedBox, second: OrientedBox) -> float:
+    return float(
+        box_separation(
+            first.T_frame_box[None], first.half_extents[None], second.T_frame_box[None], second.half_extents[None]
+        )[0]
+    )
