@@ -44,6 +44,13 @@ def test_grasps_stand_every_two_centimetres_from_three_off_the_ends() -> None:
         np.testing.assert_allclose(np.diff(positions), 0.02)
 
 
+def test_a_length_that_went_through_32_bit_floats_has_the_same_grasps() -> None:
+    for length in np.arange(6, 120) / 100:
+        expected = grasp_positions(length)
+        for rounded in (float(np.float32(length)), 2 * float(np.float32(length / 2))):
+            np.testing.assert_allclose(grasp_positions(rounded), expected, atol=1e-7)
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_grasps_come_from_all_four_sides_in_both_finger_orders(axis: int) -> None:
     size = np.full(3, 0.02)

@@ -18,6 +18,7 @@ from takeapart.workcell import Workcell
 
 SPACING = 0.02  # m, between grasps along the part
 END_MARGIN = 0.03  # m, from the part's ends
+SAME_EDGE = 1e-6  # m; a part shorter by less has as many grasps: lengths in 32-bit floats are off by up to 6e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ def grasp_positions(length: float) -> Array:
     usable = length - 2 * END_MARGIN
     if usable < 0:
         return np.array([length / 2])
-    return END_MARGIN + SPACING * np.arange(int(np.floor(usable / SPACING + 1e-6)) + 1, dtype=float)
+    return END_MARGIN + SPACING * np.arange(int(np.floor((usable + SAME_EDGE) / SPACING)) + 1, dtype=float)
 
 
 def grasp_candidates(part: Part, maximum_opening: float) -> list[GraspCandidate]:
