@@ -45,7 +45,7 @@ from takeapart.verification_report import (
     format_finding,
     report_as_dict,
 )
-from takeapart.verification_support import check_support
+from takeapart.verification_support import Support, check_support
 from takeapart.workcell import Workcell
 
 __all__ = [
@@ -107,9 +107,9 @@ class Verifier:
         computed = {"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)}
         self.hashes = computed if hashes is None else hashes
         self.replay = Replay(assembly, workcell, self.options)
+        self.support = Support(assembly)
         self._steps: dict[bytes, StepResult] = {}
         self._standing: dict[int, StandingReport] = {}
-        self._support = check_support(assembly, self.replay.scene, self.options)
 
     @property
     def distinct_steps(self) -> int:
@@ -154,9 +154,10 @@ class Verifier:
         if not any(finding.check == "schema" and finding.step is not None for finding in findings):
             findings += check_total(plan, options)
         findings += check_bound(plan, assembly, workcell, options)
-        findings += self._support
         findings += check_stability(plan, assembly)
-        states = states_of(plan, assembly) if physics else []
+        states = states_of(plan, assembly)
+        findings += check_support(self.support, states, [step.part for step in plan.steps])
+        states = states if physics else []
         for k, standing in enumerate(states):
             before = plan.steps[k - 1].part if k else ""
             findings += [

@@ -29,6 +29,7 @@ CheckName = Literal[
     "total_length",
     "bound",
     "stability",
+    "support",
     "physics",
 ]
 
