@@ -3,6 +3,7 @@ overlap. Truth comes from the inverse kinematics library and from FCL on the mes
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,18 @@ def test_a_replay_looks_at_the_limits(replay: Replay, side: int) -> None:
     rows = np.column_stack([np.repeat(first[None, :6], len(turns), axis=0), turns])
     (found,) = findings_along(replay, 0, rows, "joint_limit")
     assert found.message.startswith("joint 7") and found.time == len(rows) - 1
+
+
+@pytest.mark.parametrize("side", [0, 1], ids=["lower", "upper"])
+@pytest.mark.parametrize("joint", range(7))
+def test_the_arm_rests_within_its_range_on_either_side(replay: Replay, joint: int, side: int) -> None:
+    for beyond, refused in ((SMALL_TURN, True), (-SMALL_TURN, False)):
+        home = scene_workcell().home.copy()
+        home[joint] = LIMITS[joint, side] + (beyond if side else -beyond)
+        resting = copy.copy(replay)
+        resting.workcell = replace(scene_workcell(), home=home)
+        said = [found.message for found in resting.check_placement() if " rests at " in found.message]
+        assert [message.partition(" rests")[0] for message in said] == ([f"joint {joint + 1}"] if refused else [])
 
 
 # --- between rows
