@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 from ssik.prebuilt import franka_panda_ik
 
 from mesh_oracle import MeshOracle
+from takeapart.assembly import Connector
 from takeapart.geometry import Array, OrientedBox, pose
 from takeapart.plan import PlanStep
 from takeapart.verification import Finding, VerificationOptions
@@ -179,6 +180,19 @@ def test_the_smallest_clearance_is_told_also_where_it_is_more_than_demanded(lowe
     clearance = looking.step(moved(step, step.joint_path[:4]), 2, assembly.root).clearance
     assert clearance is not None and clearance.second == "part/block"
     assert clearance.distance == pytest.approx(least, abs=1e-6)
+
+
+@pytest.mark.parametrize(("above", "link"), [(0.13, "panda_link7"), (0.09, "panda_hand"), (0.30, None)])
+def test_what_carries_the_gripper_keeps_from_the_part_that_it_holds(above: float, link: str | None) -> None:
+    """A wall that the beam carries, at a height over the grasp, m: no simulator tests what never moves against it."""
+    assembly, step = scene_assembly(), scene_plan().steps[1]
+    at = step.grasp.center - assembly.parts[assembly.index["beam"]].T_world_part[:3, 3] + [0.0, 0.0, above]
+    wall = Connector("mast", "U", "beam", "stub", (OrientedBox(pose(at), np.full(3, 0.004)),))
+    changed = replace(assembly, connectors=(*assembly.connectors, wall))
+    looking = Replay(changed, scene_workcell(), VerificationOptions())
+    findings = looking.step(moved(step, step.joint_path[:2]), 1, assembly.root).findings
+    hits = [found.message for found in findings if found.message.endswith("cuts into held/beam")]
+    assert hits == ([f"{link} cuts into held/beam"] if link else [])
 
 
 # --- neighbours
