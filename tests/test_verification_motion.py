@@ -218,6 +218,17 @@ def test_neighbours_may_overlap_by_a_tenth_of_a_millimetre_and_no_more(depth: fl
     assert all(found.depth == pytest.approx(depth, abs=1e-6) for found in hits)
 
 
+@pytest.mark.parametrize(("demanded", "allowed"), [(0.0019, True), (0.0023, False)])
+def test_neighbours_nearer_than_the_clearance_may_stay_so_while_they_part(demanded: float, allowed: bool) -> None:
+    """The bar starts 1.5 mm over the block, the fingertips 2 mm: only what starts as a neighbour may be too near."""
+    looking, step = overlapping(-0.0015), scene_plan().steps[2]
+    looking = Replay(looking.assembly, looking.workcell, VerificationOptions(clearance=demanded))
+    findings = looking.step(moved(step, step.joint_path[:16]), 2, looking.assembly.root).findings
+    hits = [found.message for found in findings if found.check == "collision"]
+    assert bool(hits) != allowed
+    assert not any("held/loose" in message for message in hits)
+
+
 @pytest.mark.parametrize(("dip", "allowed"), [(4e-5, True), (7e-5, False)])
 def test_neighbours_that_overlap_at_the_start_must_not_cut_deeper(dip: float, allowed: bool) -> None:
     """The bar starts 0.05 mm in its block and is pressed down before it is lifted: 0.1 mm is the end of it."""

@@ -172,6 +172,23 @@ def test_fingers_close_squarely(share: float, refused: bool, axis: str, sign: in
 
 
 @beyond
+@pytest.mark.parametrize("axis", range(3))
+def test_it_does_not_matter_which_axis_of_its_frame_a_part_is_gripped_along(
+    share: float, refused: bool, axis: int
+) -> None:
+    """The same bar with its frame turned so that the fingers close along its first, second or third axis."""
+    turn = np.roll(np.eye(3), axis, axis=1)
+    T = pose([0.5, 0.1, 0.2])
+    T[:3, :3] = turn
+    size = np.abs(turn.T @ [0.02, 0.3, 0.03])
+    same = Part("bar", Box((float(size[0]), float(size[1]), float(size[2]))), T, 1.0)
+    for aside, width in ((0.0, 0.02 + 1e-5 * share), (1e-5 * share, 0.02)):
+        grasp = Grasp(np.array([0.5 + aside, 0.17, 0.2]), quaternion_from_rotation(ACROSS), width)
+        findings = check_grasp(replace(STILL, grasp=grasp), 4, same, 0.08, OPTIONS)
+        told(findings, "grasp" if aside else "width", refused, 1e-5 * share)
+
+
+@beyond
 def test_the_grasp_is_in_the_part(share: float, refused: bool) -> None:
     told(grasp_findings((0.0, 0.15 + 1e-4 * share, 0.0)), "grasp", refused, 1e-4 * share)
     told(grasp_findings((0.0, 0.0, -0.015 - 1e-4 * share)), "grasp", refused, 1e-4 * share)
