@@ -102,9 +102,11 @@ def test_bad_mass(mass: float) -> None:
         assembly(part("a", mass=mass))
 
 
-@pytest.mark.parametrize("size", [(0.0, 1, 1), (-1.0, 1, 1), (1, float("nan"), 1), (1, 1, float("inf")), (101, 1, 1)])
+@pytest.mark.parametrize(
+    "size", [(0.0, 1, 1), (9.9e-5, 1, 1), (-1.0, 1, 1), (1, float("nan"), 1), (1, 1, float("inf")), (101, 1, 1)]
+)
 def test_bad_size(size: tuple[float, float, float]) -> None:
-    with pytest.raises(InputError, match=r"demo: parts\[0\] \(a\)\.shape: size .* above 0 and at most 100 m"):
+    with pytest.raises(InputError, match=r"demo: parts\[0\] \(a\)\.shape: size .* 0\.0001 to 100 m"):
         assembly(part("a", shape=Box(size)))
 
 
@@ -128,7 +130,7 @@ def test_bad_pose(T: np.ndarray, message: str) -> None:
 
 
 def test_bad_wall_size() -> None:
-    with pytest.raises(InputError, match=r"demo: connectors\[0\] \(holder\)\.walls\[1\]: size .* above 0"):
+    with pytest.raises(InputError, match=r"demo: connectors\[0\] \(holder\)\.walls\[1\]: size .* 0\.0001 to 100 m"):
         assembly(connectors=(connector(walls=(wall(), wall(half=0.0))),))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.geometry import Array, OrientedBox, Shape, box_separation
 
+SHORTEST_EDGE, LONGEST_EDGE = 1e-4, 100.0  # m, of a box
 OVERLAP_TOLERANCE = 1e-4  # m; bodies of different parts may overlap by this much (rounding of drawings)
 MAXIMUM_PARTS = 1000
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -162,9 +163,10 @@ def _check_pose(T: Array, where: str) -> None:
 
 
 def _check_box(box: OrientedBox, where: str) -> None:
-    if not np.isfinite(box.half_extents).all() or (box.half_extents <= 0).any() or box.half_extents.max() > 50:
-        size = (2 * box.half_extents).tolist()
-        raise InputError(f"size {size} m; every edge must be above 0 and at most 100 m", where)
+    edges = 2 * box.half_extents
+    if not np.isfinite(edges).all() or (edges < SHORTEST_EDGE * (1 - 1e-9)).any() or edges.max() > LONGEST_EDGE:
+        sizes = f"{SHORTEST_EDGE:g} to {LONGEST_EDGE:g} m"
+        raise InputError(f"size {edges.tolist()} m; {sizes} is valid for every edge; are the units metres?", where)
     _check_pose(box.T_frame_box, where)
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from takeapart.assembly import MAXIMUM_PARTS, NAME_PATTERN
+from takeapart.assembly import LONGEST_EDGE, MAXIMUM_PARTS, NAME_PATTERN, SHORTEST_EDGE
 from takeapart.errors import InputError
 from takeapart.messages import kind_of, place, sentence, shortened
 
@@ -59,7 +59,7 @@ def _free(value: dict[str, object]) -> dict[str, object]:
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
-Edge = Annotated[float, Field(ge=1e-4, le=100, allow_inf_nan=False)]
+Edge = Annotated[float, Field(ge=SHORTEST_EDGE, le=LONGEST_EDGE, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 Position = Annotated[list[Coordinate], Field(min_length=3, max_length=3, fail_fast=True)]
