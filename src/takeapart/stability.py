@@ -15,7 +15,7 @@ from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox
 
 STEEPEST_IN_PLANE = np.cos(np.pi / 4)  # |cosine| to the vertical above which a bar counts as being along z
-SAME_LENGTH = 1e-9  # m; edges closer than this are equally long
+SAME_LENGTH = 1e-3  # m; edges closer than this are equally long: what a file rounds off does not decide
 BALANCED = 1e-4  # m; a centre of mass must lie at least this far inside of what carries the part
 
 

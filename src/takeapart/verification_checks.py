@@ -21,6 +21,7 @@ from takeapart.workcell import Workcell
 ORIGINS = ("assembly", "workcell")
 DIRECTIONS = ("disassembly", "assembly")
 STANDARD_GRAVITY = 9.80665  # m/s^2
+EQUAL_EDGES = 1e-3  # m; a part whose two longest edges differ by no more has no long axis
 NOTHING_BELOW = "anything to rest on"
 
 
@@ -209,7 +210,8 @@ def carriers(assembly: Assembly, part: Part) -> set[str]:
     stands upright only the one below (design, section 5)."""
     box = part.shape.bounding_box().moved(part.T_world_part)
     long_axis = box.T_frame_box[:3, int(np.argmax(box.half_extents))]
-    slender = int((box.half_extents > box.half_extents.max() - 1e-9).sum()) == 1
+    second, first = sorted(2 * box.half_extents)[1:]
+    slender = first - second > EQUAL_EDGES
     upright = slender and abs(float(long_axis[2])) > math.cos(math.radians(45))
     hosts = set()
     for connector in assembly.connectors:

@@ -1,5 +1,5 @@
-"""Where a part can be gripped: every 2 cm along all four sides, from 3 cm off each end, both finger orders (Sec.
-VI).
+"""Where a part can be gripped: every 2 cm along all four sides of each long edge, from 3 cm off each end, both finger
+orders (Sec. VI).
 """
 
 from __future__ import annotations
@@ -7,18 +7,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cmp_to_key
 from itertools import product
 
 import numpy as np
 
 from takeapart.assembly import Part
-from takeapart.geometry import Array
+from takeapart.geometry import Array, OrientedBox
 from takeapart.workcell import Workcell
 
 SPACING = 0.02  # m, between grasps along the part
 END_MARGIN = 0.03  # m, from the part's ends
 SAME_EDGE = 1e-6  # m; a part shorter by less has as many grasps: lengths in 32-bit floats are off by up to 6e-8
+
+_SignedAxis = tuple[int, int]  # number of a box's axis, and 1 or -1: the way along it
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,25 +45,48 @@ def grasp_positions(length: float) -> Array:
 
 
 def grasp_candidates(part: Part, maximum_opening: float) -> list[GraspCandidate]:
-    """All grasps of a part along the longest axis of its bounding box, as wide as the gripper allows."""
+    """All grasps of a part as wide as the gripper allows: along every axis of its bounding box that has room for both
+    margins or, if none has, in the middle along all three.
+
+    Which grasps, from which end they are counted and their order depend on the body in the world only: not on how its
+    frame is turned, nor on which edge is named first.
+    """
     box = part.shape.bounding_box()
-    long_axis = int(np.argmax(box.half_extents))
-    sides = [axis for axis in range(3) if axis != long_axis]
-    distances = grasp_positions(2 * float(box.half_extents[long_axis])) - box.half_extents[long_axis]
-    turns, widths = [], []
-    for approach_axis, closing_axis in (sides, sides[::-1]):
-        width = 2 * float(box.half_extents[closing_axis])
-        if width <= maximum_opening:
-            turns.append(_turns(approach_axis, closing_axis))
-            widths += [width] * len(turns[-1])
-    if not turns:
-        return []
-    T = np.zeros((len(distances), len(widths), 4, 4))
-    T[..., :3, :3] = np.concatenate(turns)
-    T[..., long_axis, 3] = distances[:, None]
-    T[..., 3, 3] = 1.0
-    poses = (box.T_frame_box @ T).reshape(-1, 4, 4)
-    return [GraspCandidate(pose, width) for pose, width in zip(poses, widths * len(distances), strict=True)]
+    axes = _axes_in_the_world(box.moved(part.T_world_part))
+    edges = 2 * box.half_extents
+    long = [axis for axis in axes if edges[axis[0]] >= 2 * END_MARGIN - SAME_EDGE] or axes
+    poses: list[Array] = []
+    widths: list[float] = []
+    for along in long:
+        sides = [axis for axis in axes if axis != along]
+        pairs = [pair for pair in (sides, sides[::-1]) if edges[pair[1][0]] <= maximum_opening]
+        if not pairs:
+            continue
+        turns = np.concatenate([_turns(approach, closing) for approach, closing in pairs])
+        number, sign = along
+        distances = grasp_positions(float(edges[number])) - box.half_extents[number]
+        T = np.zeros((len(distances), len(turns), 4, 4))
+        T[..., :3, :3] = turns
+        T[..., number, 3] = sign * distances[:, None]
+        T[..., 3, 3] = 1.0
+        poses.extend((box.T_frame_box @ T).reshape(-1, 4, 4))
+        widths += [float(edges[closing]) for _, (closing, _) in pairs for _ in range(4)] * len(distances)
+    return [GraspCandidate(pose, width) for pose, width in zip(poses, widths, strict=True)]
+
+
+def _axes_in_the_world(box: OrientedBox) -> list[_SignedAxis]:
+    """The three axes of a box in the world, each away from its end with the smaller world coordinates (x, then y, then
+    z), those that go furthest along x, then y, then z first. Coordinates closer than `SAME_EDGE` are the same."""
+    ends = box.T_frame_box[:3, :3] * (2 * box.half_extents)  # (3, 3) m, columns from one end of an axis to the other
+    signs = [_first_difference(end) for end in ends.T]
+    directions = box.T_frame_box[:3, :3].T * np.array(signs)[:, None]
+    order = sorted(range(3), key=cmp_to_key(lambda a, b: _first_difference(directions[b] - directions[a])))
+    return [(axis, signs[axis]) for axis in order]
+
+
+def _first_difference(difference: Array) -> int:
+    """Sign of the first of three coordinates (3,) that is not zero within `SAME_EDGE`; 1 if all are."""
+    return next((1 if value > 0 else -1 for value in difference if abs(value) > SAME_EDGE), 1)
 
 
 def ungraspable(part: Part, workcell: Workcell) -> str:
@@ -81,11 +106,12 @@ def ungraspable(part: Part, workcell: Workcell) -> str:
 
 
 @cache
-def _turns(approach_axis: int, closing_axis: int) -> Array:
+def _turns(approach_axis: _SignedAxis, closing_axis: _SignedAxis) -> Array:
     """The four orientations (4, 3, 3) of the tool that approach along one axis, either way, and close along another."""
     turns = np.zeros((4, 3, 3))
     for turn, (approach_sign, closing_sign) in zip(turns, product((1.0, -1.0), repeat=2), strict=True):
-        turn[approach_axis, 2], turn[closing_axis, 1] = approach_sign, closing_sign
+        turn[approach_axis[0], 2] = approach_axis[1] * approach_sign
+        turn[closing_axis[0], 1] = closing_axis[1] * closing_sign
         turn[:, 0] = np.cross(turn[:, 1], turn[:, 2])
     return turns
 

@@ -25,6 +25,8 @@ from takeapart.robot.ik import Solver
 from takeapart.robot.model import RobotModel, copied_load, moved_load
 from takeapart.workcell import Workcell
 
+TIED = 9  # decimals of a direction; noise of a part's frame is no steeper approach
+SAME_PLACE = 1e-6  # m
 LIFT_SPACINGS = (0.005, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
 
 
@@ -153,7 +155,7 @@ class Reach:
     def steepest_first(self, part: int, work: Workspace) -> list[int]:
         """Numbers of the grasps, those from above first."""
         if part not in self._steepest:
-            steepness = [hand.steepness for hand in self.hands(part, work)]
+            steepness = [round(hand.steepness, TIED) for hand in self.hands(part, work)]
             self._steepest[part] = sorted(range(len(steepness)), key=steepness.__getitem__)
         return self._steepest[part]
 
@@ -258,7 +260,11 @@ class Reach:
         partners: list[int | None] = [None] * len(candidates)
         for k in np.nonzero(exchanged)[0].tolist():
             partners[k], partners[k + 1] = k + 1, k
-        kinds = np.column_stack([np.round(poses[:, :3, 2]), poses[:, :3, 3].sum(axis=1) // 0.06]).astype(int).tolist()
+        middle = (body.T_world_part @ body.shape.bounding_box().T_frame_box)[:3, 3]
+        cells = np.floor(
+            (starts[:, :3, 3] - middle + SAME_PLACE) / 0.06
+        )  # in the world: how frames are turned is no kind
+        kinds = np.column_stack([np.round(1e3 * starts[:, :3, 2]), cells]).astype(int).tolist()
         states, line_states = states_of(hits), states_of(lines)
         return tuple(
             Hand(
