@@ -261,9 +261,7 @@ class Reach:
         for k in np.nonzero(exchanged)[0].tolist():
             partners[k], partners[k + 1] = k + 1, k
         middle = (body.T_world_part @ body.shape.bounding_box().T_frame_box)[:3, 3]
-        cells = np.floor(
-            (starts[:, :3, 3] - middle + SAME_PLACE) / 0.06
-        )  # in the world: how frames are turned is no kind
+        cells = np.floor((starts[:, :3, 3] - middle + SAME_PLACE) / 0.06)  # in the world: a part's frame is no kind
         kinds = np.column_stack([np.round(1e3 * starts[:, :3, 2]), cells]).astype(int).tolist()
         states, line_states = states_of(hits), states_of(lines)
         return tuple(
