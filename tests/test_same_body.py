@@ -11,14 +11,14 @@ import pytest
 
 from conftest import random_rotation
 from small_assemblies import three_bars
-from takeapart.assembly import Assembly, Part
-from takeapart.geometry import Array, Box, OrientedBox
+from takeapart.assembly import Assembly, Connector, Part
+from takeapart.geometry import Array, Box, OrientedBox, pose
 from takeapart.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.removal.grasps import grasp_candidates
 from takeapart.search.result import Budget
 from takeapart.verification import verify_plan
-from verification_scene import scene_workcell
+from verification_scene import bar, scene_workcell
 
 OPENING = 0.08  # m
 SIZES = [
@@ -161,3 +161,15 @@ def test_the_same_product_in_other_words_has_a_plan_of_the_same_length_that_the_
     made = greedy_plan(in_other_words(three_bars(), np.random.default_rng(5)))
     assert {step.part for step in made.steps} == {step.part for step in expected.steps} == {"beam", "stub", "rear"}
     assert made.total_length == pytest.approx(expected.total_length, abs=1e-4)
+
+
+def test_a_square_plate_on_a_post_is_planned_alike_whichever_edge_is_named_first() -> None:
+    post = bar("post", [0.15, 0.0, 0.05], [0.02, 0.02, 0.1], True)
+    floor = OrientedBox(pose([0.0, 0.0, 0.051]), np.array([0.01, 0.01, 0.001]))
+    seat = Connector("post-plate", "U", "post", "plate", (floor,))
+    quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # exchanges both long edges
+    lengths = []
+    for R in (np.eye(3), quarter):
+        plate = replace(turned((0.02, 0.06, 0.06), pose([0.15, 0.0, 0.132]), R), name="plate")
+        lengths.append(greedy_plan(Assembly("plate", (post, plate), (seat,))).total_length)
+    assert lengths[0] == pytest.approx(lengths[1], abs=1e-4)
