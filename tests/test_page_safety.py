@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import http.client
 import json
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,14 @@ from shown_plans import small_scene, write_files
 from takeapart.cli_view import _load
 from takeapart.render_facts import part_facts
 from takeapart.render_figures import lasting_bounds
-from takeapart.render_markup import Markup, element, joined, plain
+from takeapart.render_markup import Markup, document, element, joined, plain, stylesheet
 from takeapart.render_scene import PlanScene
 from takeapart.render_subject import load_subject
-from takeapart.report import report
+from takeapart.report import page as report_page
+from takeapart.report import report, save_report
+from takeapart.report_charts import Bar, bars
 from takeapart.viewer import Viewer
-from takeapart.viewer_page import page
+from takeapart.viewer_page import page, save_page
 from takeapart.viewer_texts import part_text, sent
 
 FRAME = '<iframe srcdoc="<svg onload=top.p=1>">'  # as short as error messages are cut
@@ -28,6 +32,7 @@ IMAGE = "<img src=x onerror=top.p=1>"
 SCRIPT = "</script><script>top.p=1</script>"
 CLOSING = "\"'></title></style></td></text><svg onload=top.p=1>"
 MARKDOWN = "[a](javascript:top.p=1) ![b](x) | `c` <svg onload=top.p=1>"
+HARMLESS = {"svg", "text", "rect", "line", "p", "html", "head", "meta", "title", "style", "body"}
 ATTACKS = (FRAME, IMAGE, SCRIPT, CLOSING, MARKDOWN)
 
 
@@ -75,8 +80,29 @@ def test_markup_is_not_escaped_twice_and_invisible_characters_are_seen() -> None
     for misuse in ({"onload": "x"}, {"onClick": "x"}, {"a b": "x"}, {"x><y": "z"}):
         with pytest.raises(ValueError, match="no attribute"):
             element("p", **misuse)
-    with pytest.raises(ValueError, match="no element"):
-        element("script", "1")
+    for name in ("srcdoc", "srcset", "SRCDOC"):
+        with pytest.raises(ValueError, match="no attribute"):
+            element("p", **{name: "x"})
+    for tag in ("script", "iframe", "IFRAME", "object", "embed", "base", "style", "foreignObject", "a b"):
+        with pytest.raises(ValueError, match="no element"):
+            element(tag, "1")
+    for address in (
+        "javascript:top.p=1",
+        " JavaScript:top.p=1",
+        "java\tscript:top.p=1",
+        "\x01javascript:top.p=1",
+        "data:text/html,<svg onload=top.p=1>",
+        "data:image/svg+xml;base64,AAAA",
+        "vbscript:x",
+        "file:///etc/passwd",
+    ):
+        for name in ("href", "src"):
+            with pytest.raises(ValueError, match="no address"):
+                element("a", "x", **{name: address})
+    for address in ("https://x.org/a:b", "#top", "x/y.html?a=b:c", "data:image/png;base64,AAAA", "mailto:a@b.c"):
+        assert "href=" in element("a", "x", href=address)
+    with pytest.raises(ValueError, match="style sheet"):
+        stylesheet("a{}</style><script>")
     with pytest.raises(TypeError, match="markup only"):
         sent("<b>plain</b>")  # type: ignore[arg-type]
 
@@ -92,9 +118,11 @@ def test_nothing_of_a_plan_runs_in_report_and_standalone_page(tmp_path: Path, fo
     file, given = hostile_plan(tmp_path, folder)
     subject = load_subject(file, Path(given[1]), given[3])
     scene = PlanScene(subject.assembly, subject.workcell, subject.plan)
+    facts = [replace(each, grasp=CLOSING, carries=(SCRIPT, FRAME), refusals={IMAGE: 1}) for each in part_facts(scene)]
     texts = {
         "report.html": report(file, Path(given[1]), given[3]),
-        "page.html": page(scene, part_facts(scene)),
+        "reasons.html": report_page(subject.plan, scene, facts, (), element("p", FRAME)),
+        "page.html": page(scene, facts),
     }
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
@@ -104,6 +132,48 @@ def test_nothing_of_a_plan_runs_in_report_and_standalone_page(tmp_path: Path, fo
             if name == "report.html":
                 words = found.page.locator("body").inner_text()
                 assert FRAME in words and IMAGE in words  # shown, not run
+            if name == "reasons.html":
+                assert SCRIPT in found.page.locator("body").inner_text()
+
+
+def test_names_of_parts_stay_text_in_the_charts() -> None:
+    for drawn in (
+        bars([Bar(FRAME, 1.0, 0.5, "#112233"), Bar(SCRIPT, 1.0, 0.5, CLOSING)]),
+        document(CLOSING, "p{}", FRAME, SCRIPT).removeprefix("<!doctype html>"),
+    ):
+        assert not any(attack in drawn for attack in ATTACKS) and "&lt;iframe" in drawn
+        assert {each.tag.rpartition("}")[2] for each in ElementTree.fromstring(drawn).iter()} <= HARMLESS
+
+
+@pytest.mark.parametrize("name", [f"{IMAGE}.plan.json", "\"'></title><svg onload=top.p=1>.plan.json"])
+def test_plan_in_a_file_named_with_markup_is_reported_and_shown(name: str, tmp_path: Path, folder: Path) -> None:
+    file, given = hostile_plan(tmp_path, folder)
+    named = file.rename(tmp_path / name.replace("/", "\u2215"))
+    save_report(named, tmp_path / "report.html", Path(given[1]), given[3])
+    save_page(named, tmp_path / "page.html", Path(given[1]), given[3])
+    for out in ("report.html", "page.html"):
+        with opened((tmp_path / out).as_uri(), 900, 640, offline=True) as found:
+            assert ran(found) is None and found.page.locator("iframe, img[src=x]").count() == 0
+            assert not found.errors  # the policy of the page lets its own style, script and picture through
+            assert "Disassembly of three-bars" in found.page.locator("h1").inner_text()
+
+
+def test_policy_of_a_page_stops_what_was_not_escaped(tmp_path: Path, folder: Path) -> None:
+    """Even markup that gets into a page runs nothing and calls nobody: the second line of defence."""
+    file, given = hostile_plan(tmp_path, folder)
+    save_report(file, tmp_path / "report.html", Path(given[1]), given[3])
+    save_page(file, tmp_path / "page.html", Path(given[1]), given[3])
+    attack = f"</h1>{FRAME}</iframe><p id=seen>here</p>{IMAGE}<script>top.p=1</script><svg onload=top.p=1></svg><h1>"
+    for out in ("report.html", "page.html"):
+        text = (tmp_path / out).read_text()
+        (tmp_path / out).write_text(text.replace("</h1>", attack, 1))
+        with opened((tmp_path / out).as_uri(), 900, 640, offline=True) as found:
+            assert found.page.locator("#seen").inner_text() == "here"
+            assert ran(found) is None
+        free = text.replace("Content-Security-Policy", "x-nothing").replace("</h1>", attack, 1)
+        (tmp_path / "free.html").write_text(free)
+        with opened((tmp_path / "free.html").as_uri(), 900, 640, offline=True) as found:
+            assert ran(found) == 1  # the attack is one
 
 
 @pytest.mark.slow

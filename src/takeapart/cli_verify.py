@@ -31,7 +31,7 @@ SHOWN_FINDINGS = 20
     short_help="Check a plan with an independent simulator.",
     epilog=examples(
         "takeapart verify product.plan.json",
-        "takeapart verify product.plan.json --report report.json",
+        "takeapart verify product.plan.json --report product.verification.json",
     ),
 )
 @click.argument("plan", type=FILE)

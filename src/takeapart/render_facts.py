@@ -184,6 +184,26 @@ def why_not_earlier(facts: PartFacts) -> str:
     return f"{start}. The order of the plan has it in step {facts.step}."
 
 
+FREEDOM_NOTE = (
+    "Carries: parts that would fall without it. Below: parts that it would hit when lifted. Free from: the first step "
+    "of the disassembly in which gravity and lifting let it go, given the order; where it leaves later, that is the "
+    "choice of the plan."
+)
+"""What `freedom` means, to be said once."""
+
+
+def freedom(facts: PartFacts) -> str:
+    """Why a part leaves no earlier, in the terms of `FREEDOM_NOTE`: only what is its own."""
+    reasons = [f"carries {_listed(facts.carries)}"] if facts.carries else []
+    if facts.under:
+        reasons.append(f"below {_listed(facts.under)}")
+    if not facts.lifts:
+        return "; ".join([*reasons, "can never be lifted"])
+    if not facts.earliest:
+        return "; ".join([*reasons, "not free when it leaves"])
+    return "; ".join([*reasons, f"free from step {facts.earliest}" if facts.earliest > 1 else "free from the start"])
+
+
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 

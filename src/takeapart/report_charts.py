@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 from takeapart.assembly import Assembly, members
 from takeapart.bound_texts import STRAIGHT_LINE
+from takeapart.render_markup import Markup, element
 
+WIDTH, GRAPH_WIDTH = 400, 380  # units of the drawings: text of 14 (12) of them has 11 pixels on a telephone too
 LENGTH, BAND, INK, GRID = "#2f6fb0", "#f2d0ab", "#39424e", "#e3e7ec"
 BEST_PLAN = "Blue: length of the best plan so far, m."
 BAND_NOTE = (
@@ -28,26 +29,28 @@ class Bar:
     color: str
 
 
-def bars(rows: Sequence[Bar]) -> str:
+def bars(rows: Sequence[Bar]) -> Markup:
     """Lengths as horizontal bars; a line across each marks the bound below which it cannot be."""
-    height, top, width = 26, 8, 480
-    left = min(240.0, 7.8 * max((len(row.label) for row in rows), default=0) + 16)  # room for the longest label
+    height, top, width = 26, 8, WIDTH
+    left = min(210.0, 7.8 * max((len(row.label) for row in rows), default=0) + 16)  # room for the longest label
     largest = max((max(row.value, row.bound) for row in rows), default=1.0) * 1.02
     scale = (width - left - 52) / largest
     parts = []
     for i, row in enumerate(rows):
         y = top + i * height
-        mark = left + row.bound * scale
-        parts.append(
-            f'<text x="{left - 10}" y="{y + 16}" text-anchor="end">{escape(row.label)}</text>'
-            f'<rect x="{left}" y="{y + 4}" width="{row.value * scale:.1f}" height="16" rx="3" fill="{row.color}"/>'
-            f'<line x1="{mark:.1f}" x2="{mark:.1f}" y1="{y + 1}" y2="{y + 23}" stroke="{INK}" stroke-width="2"/>'
-            f'<text x="{left + max(row.value, row.bound) * scale + 8:.1f}" y="{y + 16}">{row.value:.3f}</text>'
-        )
-    return _svg(width, top + len(rows) * height + 6, "".join(parts), "Length of every step, with its bound")
+        end = left + max(row.value, row.bound) * scale
+        parts += [
+            _text(left - 10, y + 16, row.label, "end"),
+            _box(left, y + 4, row.value * scale, 16, row.color, rx=3),
+            _line(left + row.bound * scale, y + 1, left + row.bound * scale, y + 23, INK, stroke_width=2),
+            _text(end + 8, y + 16, f"{row.value:.3f}"),
+        ]
+    return _svg(width, top + len(rows) * height + 6, parts, "Length of every step, with its bound")
 
 
-def progress(history: Sequence[Sequence[float | None]], floor: float = 0.0, proved_after: float | None = None) -> str:
+def progress(
+    history: Sequence[Sequence[float | None]], floor: float = 0.0, proved_after: float | None = None
+) -> Markup:
     """How the best plan came about: its length, m, against removal queries, above what no plan can be shorter than.
 
     The sequence bound moves with the paths that are known: a shorter one found later lowers it, so that it is no bound
@@ -59,10 +62,10 @@ def progress(history: Sequence[Sequence[float | None]], floor: float = 0.0, prov
         floor: straight-line bound of the plan, m; 0 where there is none.
         proved_after: queries after which the order was proved for the first time; what follows is refinement.
     """
-    width, height, left, right, top, bottom = 480, 280, 52, 84, 30, 44
+    width, height, left, right, top, bottom = WIDTH, 260, 52, 76, 30, 44
     rows = [(float(row[0] or 0), float(row[1]), row[2]) for row in history if row[1] is not None]
     if not rows:
-        return ""
+        return Markup()
     bands = [min(length, length if bound is None else float(bound)) for _, length, bound in rows]
     values = [length for _, length, _ in rows] + bands + ([floor] if floor else [])
     low, high = min(values), max(values)
@@ -78,26 +81,20 @@ def progress(history: Sequence[Sequence[float | None]], floor: float = 0.0, prov
 
     parts = []
     for value in _ticks(low, high):
-        parts.append(
-            f'<line x1="{left}" x2="{width - right}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="{GRID}"/>'
-            f'<text x="{left - 8}" y="{y(value) + 5:.1f}" text-anchor="end">{value:g}</text>'
-        )
+        parts.append(_line(left, y(value), width - right, y(value), GRID))
+        parts.append(_text(left - 8, y(value) + 5, f"{value:g}", "end"))
     for value in _ticks(0, end):
-        parts.append(f'<text x="{x(value):.1f}" y="{height - bottom + 20}" text-anchor="middle">{value:g}</text>')
-    parts.append(f'<text x="{(left + width - right) / 2}" y="{height - 6}" text-anchor="middle">removal queries</text>')
-    parts.append(f'<text x="{left - 8}" y="{top - 12}" text-anchor="end">m</text>')
+        parts.append(_text(x(value), height - bottom + 20, f"{value:g}", "middle"))
+    parts.append(_text((left + width - right) / 2, height - 6, "removal queries", "middle"))
+    parts.append(_text(left - 8, top - 12, "m", "end"))
     if proved_after is not None and 0 <= proved_after < end:
         at = x(proved_after)
-        parts.append(
-            f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{top}" y2="{height - bottom}" stroke="{INK}" '
-            f'stroke-dasharray="3 4"/><text x="{at + 6:.1f}" y="{top - 12}">refinement</text>'
-        )
+        parts.append(_line(at, top, at, height - bottom, INK, stroke_dasharray="3 4"))
+        parts.append(_text(at + 6, top - 12, "refinement"))
     for (queries, length, _), band, following in zip(rows, bands, [*(row[0] for row in rows[1:]), end], strict=True):
         if band < length and following > queries:
-            parts.append(
-                f'<rect x="{x(queries):.1f}" width="{x(following) - x(queries):.1f}" y="{y(length):.1f}" '
-                f'height="{y(band) - y(length):.1f}" fill="{BAND}" shape-rendering="crispEdges"/>'
-            )
+            across, down = x(following) - x(queries), y(band) - y(length)
+            parts.append(_box(x(queries), y(length), across, down, BAND, shape_rendering="crispEdges"))
     line = f"M{x(rows[0][0]):.1f} {y(rows[0][1]):.1f}"
     for queries, length, _ in rows[1:]:
         line += f"H{x(queries):.1f}V{y(length):.1f}"
@@ -105,9 +102,9 @@ def progress(history: Sequence[Sequence[float | None]], floor: float = 0.0, prov
     if floor:
         named.append((f"M{left} {y(floor):.1f}H{x(end):.1f}", floor, INK, "bound"))
     for path, value, color, name in named:
-        parts.append(f'<path d="{path}" fill="none" stroke="{color}" stroke-width="2.5" stroke-linejoin="round"/>')
-        parts.append(f'<text x="{width - right + 6}" y="{y(value) + 5:.1f}" fill="{color}" class="name">{name}</text>')
-    return _svg(width, height, "".join(parts), "Length of the best plan against removal queries, above its bound")
+        parts.append(element("path", d=path, fill="none", stroke=color, stroke_width=2.5, stroke_linejoin="round"))
+        parts.append(_text(width - right + 6, y(value) + 5, name, fill=color, class_="name"))
+    return _svg(width, height, parts, "Length of the best plan against removal queries, above its bound")
 
 
 def progress_note(history: Sequence[Sequence[float | None]], floor: float = 0.0) -> str:
@@ -120,7 +117,7 @@ def progress_note(history: Sequence[Sequence[float | None]], floor: float = 0.0)
     return " ".join(words)
 
 
-def graph(assembly: Assembly, edges: Sequence[tuple[int, int, str]], colors: Sequence[str]) -> str:
+def graph(assembly: Assembly, edges: Sequence[tuple[int, int, str]], colors: Sequence[str]) -> Markup:
     """Which part must wait for which: parts that can leave first stand on top, lines lead down to those that wait."""
     parts = members(assembly.root)
     before = {part: [other for waiting, other, _ in edges if waiting == part] for part in parts}
@@ -134,7 +131,7 @@ def graph(assembly: Assembly, edges: Sequence[tuple[int, int, str]], colors: Seq
 
     for part in parts:
         level_of(part)
-    width, row_height, chip, gap = 640, 66, 22, 8
+    width, row_height, chip, gap = GRAPH_WIDTH, 60, 22, 6
     rows: list[list[int]] = []
     for depth in range(max(level.values(), default=0) + 1):
         row: list[int] = []
@@ -163,23 +160,21 @@ def graph(assembly: Assembly, edges: Sequence[tuple[int, int, str]], colors: Seq
         (x1, y1), (x2, y2) = center[other], center[waiting]
         y1, y2 = y1 + chip / 2, y2 - chip / 2
         bend = (y2 - y1) / 2
-        dash = ' stroke-dasharray="4 3"' if why == "lift" else ""
-        drawn.append(
-            f'<path d="M{x1:.0f} {y1:.0f}C{x1:.0f} {y1 + bend:.0f} {x2:.0f} {y2 - bend:.0f} {x2:.0f} {y2:.0f}" '
-            f'fill="none" stroke="#9aa5b1" stroke-width="1.4"{dash}/>'
-        )
+        curve = f"M{x1:.0f} {y1:.0f}C{x1:.0f} {y1 + bend:.0f} {x2:.0f} {y2 - bend:.0f} {x2:.0f} {y2:.0f}"
+        dash = "4 3" if why == "lift" else None
+        drawn.append(element("path", d=curve, fill="none", stroke="#9aa5b1", stroke_width=1.4, stroke_dasharray=dash))
     for part, (x, y) in center.items():
         name, size = assembly.parts[part].name, _chip_width(assembly.parts[part].name)
-        drawn.append(
-            f'<rect x="{x - size / 2:.0f}" y="{y - chip / 2:.0f}" width="{size:.0f}" height="{chip}" rx="11" '
-            f'fill="{colors[part]}"/><text x="{x:.0f}" y="{y + 4:.0f}" text-anchor="middle" class="chip">'
-            f"{escape(name)}</text>"
-        )
-    return _svg(width, 18 + (len(rows) - 1) * row_height + chip, "".join(drawn), "Which part waits for which")
+        drawn.append(_box(x - size / 2, y - chip / 2, size, chip, colors[part], rx=11))
+        drawn.append(_text(x, y + 4, name, "middle", class_="chip"))
+    widest = max((sum(_chip_width(assembly.parts[p].name) + gap for p in row) for row in rows), default=0.0)
+    room = max(width, widest)  # a single name may be wider than a row
+    view = f"{(width - room) / 2:g} 0 {room:g} {18 + (len(rows) - 1) * row_height + chip:g}"
+    return _picture(view, drawn, "Which part waits for which")
 
 
 def _chip_width(name: str) -> float:
-    return 7.0 * len(name) + 18
+    return 6.6 * len(name) + 16
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -190,8 +185,27 @@ def _ticks(low: float, high: float) -> list[float]:
     return [round(step * k, 10) for k in range(first, math.floor(high / step) + 1)]
 
 
-def _svg(width: float, height: float, content: str, title: str) -> str:
-    return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(title)}" '
-        f'xmlns="http://www.w3.org/2000/svg">{content}</svg>'
-    )
+def _text(x: float, y: float, text: object, anchor: str | None = None, **attributes: object) -> Markup:
+    return element("text", text, x=_pixels(x), y=_pixels(y), text_anchor=anchor, **attributes)
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, color: str, **attributes: object) -> Markup:
+    ends = {"x1": _pixels(x1), "x2": _pixels(x2), "y1": _pixels(y1), "y2": _pixels(y2)}
+    return element("line", stroke=color, **ends, **attributes)
+
+
+def _box(x: float, y: float, width: float, height: float, color: str, **attributes: object) -> Markup:
+    edges = {"x": _pixels(x), "y": _pixels(y), "width": _pixels(width), "height": _pixels(height)}
+    return element("rect", fill=color, **edges, **attributes)
+
+
+def _pixels(value: float) -> str:
+    return f"{round(value, 1):g}"
+
+
+def _svg(width: float, height: float, content: Sequence[Markup], title: str) -> Markup:
+    return _picture(f"0 0 {width:g} {height:g}", content, title)
+
+
+def _picture(view: str, content: Sequence[Markup], title: str) -> Markup:
+    return element("svg", *content, viewBox=view, role="img", aria_label=title, xmlns="http://www.w3.org/2000/svg")

@@ -53,6 +53,12 @@ def workcell_hash(workcell: Workcell) -> str:
     )
 
 
+def motion_hash(plan: Plan) -> str:
+    """SHA-256 of what a plan has the arm do, whichever way round it is told: assembly, workcell and steps."""
+    removals = plan if plan.direction == "disassembly" else plan.inverted()
+    return _hash({key: plan_document(removals)[key] for key in ("assembly", "workcell", "hashes", "steps")})
+
+
 def _hash(document: Document) -> str:
     data = {key: value for key, value in document.items() if key != "format"}
     return hashlib.sha256(canonical_json(data).encode()).hexdigest()

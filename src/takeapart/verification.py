@@ -15,7 +15,7 @@ import numpy as np
 
 from takeapart.assembly import Assembly
 from takeapart.plan import Plan, PlanStep
-from takeapart.serialization import assembly_hash, workcell_hash
+from takeapart.serialization import assembly_hash, motion_hash, workcell_hash
 from takeapart.verification_checks import (
     check_bound,
     check_grasp,
@@ -175,6 +175,8 @@ class Verifier:
             states=len(states),
             seconds=time.perf_counter() - started,
             options=options,
+            clearances=tuple(result.clearance for result in results),
+            motion=motion_hash(plan),
         )
 
     def stand(self, state: int) -> StandingReport:

@@ -156,6 +156,8 @@ class VerificationReport:
         agreement: see `Agreement`.
         states: number of states that stood under gravity for the physics check.
         seconds: wall time.
+        clearances: the smallest one of every step that was replayed, in the order of disassembly; None as above.
+        motion: hash of what the plan has the arm do, see `takeapart.serialization.motion_hash`.
     """
 
     plan: str
@@ -167,6 +169,8 @@ class VerificationReport:
     states: int
     seconds: float
     options: VerificationOptions = field(default_factory=VerificationOptions)
+    clearances: tuple[Clearance | None, ...] = ()
+    motion: str = ""
 
     @property
     def not_checked(self) -> tuple[str, ...]:

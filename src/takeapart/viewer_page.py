@@ -25,6 +25,7 @@ from takeapart.errors import InputError
 from takeapart.geometry import Array
 from takeapart.messages import shown
 from takeapart.render_facts import PartFacts, part_facts, why_not_earlier
+from takeapart.render_markup import digest_source
 from takeapart.render_robot import BROWSER_CELL, Mesh, RobotVisual, coarser
 from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene, view_of
 from takeapart.render_subject import load_subject
@@ -73,13 +74,23 @@ def page(scene: PlanScene, facts: Sequence[PartFacts]) -> str:
 
 
 def assembled(data: str) -> str:
-    """The player around its data. The player stands first, so that it can tell when the data were cut off."""
+    """The player around its data. The player stands first, so that it can tell when the data were cut off.
+
+    The page's policy lets run this player, named by its hash, and nothing else, and reaches no network.
+    """
     data = data.replace("<", "\\u003c")  # nothing in the data may end its element
+    style, script = (
+        "\n".join((ASSETS / file).read_text(encoding="utf-8") for file in files)
+        for files in (("player.css",), ("motion.js", "drawing.js", "player.js"))
+    )
+    policy = (
+        f"default-src 'none'; script-src {digest_source(script)}; style-src {digest_source(style)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
     html = (ASSETS / "player.html").read_text(encoding="utf-8")
-    for name, files in (("style", ("player.css",)), ("script", ("motion.js", "drawing.js", "player.js"))):
-        text = "\n".join((ASSETS / file).read_text(encoding="utf-8") for file in files)
+    for name, text in (("policy", policy), ("style", style), ("script", script)):
         html = html.replace(f"/*{name}*/", text)
-    return html.replace("0/*checksum*/", str(zlib.crc32(data.encode()))).replace("/*data*/", data)
+    return html.replace("/*checksum*/", str(zlib.crc32(data.encode()))).replace("/*data*/", data)
 
 
 def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ function readData() {
   const element = document.getElementById("data");
   if (!element || !element.textContent.trim()) throw new Error("The file ends before its data: it was cut off.");
   const text = element.textContent.trim();
-  if (crc32(text) !== window.takeapartChecksum)
+  if (crc32(text) !== Number(element.dataset.checksum))
     throw new Error("The data in this file are damaged: their checksum does not fit. Ask for the file again.");
   const data = JSON.parse(text);
   if (data.format !== "takeapart/page" || data.version !== 1) throw new Error("The file holds nothing of a known version.");
