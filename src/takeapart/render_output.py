@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import math
 import os
+import zlib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ except ImportError as missing:
 
 INK, PAPER = (38, 44, 52), (255, 255, 255)
 GIF_COLORS = 128
+NOTHING = "nothing to show: the plan has no steps"
 
 PathLike = str | os.PathLike[str]
 
@@ -88,12 +91,15 @@ def save_animation(frames: Iterable[Image], path: PathLike, frames_per_second: f
     where, kind = shown(path), Path(path).suffix.lower()
     if kind not in (".gif", ".mp4"):
         raise InputError(f"unknown ending {kind!r}; an animation is .gif or .mp4", where)
+    if kind == ".gif":
+        kept = [_Kept.of(frame) for frame in frames]
+        if not kept:
+            raise InputError(NOTHING, where)
+        write_atomically(path, _gif(kept, frames_per_second))
+        return
     images = list(frames)
     if not images:
-        raise InputError("nothing to show: the plan has no steps", where)
-    if kind == ".gif":
-        write_atomically(path, _gif(images, frames_per_second))
-        return
+        raise InputError(NOTHING, where)
     try:
         data = imageio.imwrite(
             "<bytes>", np.stack(images), extension=".mp4", plugin="FFMPEG", fps=frames_per_second, macro_block_size=2
@@ -115,11 +121,30 @@ def _palette(image: Image, colors: int) -> PillowImage.Image:
     return PillowImage.fromarray(chosen).quantize(colors, method=PillowImage.Quantize.MEDIANCUT)
 
 
-def _gif(images: Sequence[Image], frames_per_second: float) -> bytes:
+@dataclass(frozen=True)
+class _Kept:
+    """A frame, compressed: colours are chosen from all frames, and hundreds of them would take most of a gigabyte."""
+
+    shape: tuple[int, ...]
+    content: bytes
+
+    @classmethod
+    def of(cls, image: Image) -> _Kept:
+        return cls(image.shape, zlib.compress(np.ascontiguousarray(image), 1))
+
+    @property
+    def image(self) -> Image:
+        return np.frombuffer(zlib.decompress(self.content), dtype=np.uint8).reshape(self.shape)
+
+
+def _gif(frames: Sequence[_Kept], frames_per_second: float) -> bytes:
     """All frames with one palette and without dithering, so that what does not move costs nothing."""
-    palette = _palette(np.concatenate([image[::2, ::2] for image in images[:: max(1, len(images) // 8)]]), GIF_COLORS)
-    flat = [PillowImage.fromarray(image).quantize(palette=palette, dither=PillowImage.Dither.NONE) for image in images]
+    samples = [frame.image[::2, ::2] for frame in frames[:: max(1, len(frames) // 8)]]
+    palette = _palette(np.concatenate(samples), GIF_COLORS)
+    none = PillowImage.Dither.NONE
+    flat = (PillowImage.fromarray(frame.image).quantize(palette=palette, dither=none) for frame in frames)
     buffer = io.BytesIO()
     duration = round(1000 / frames_per_second)
-    flat[0].save(buffer, format="GIF", save_all=True, append_images=flat[1:], duration=duration, loop=0, optimize=False)
+    first = next(flat)
+    first.save(buffer, format="GIF", save_all=True, append_images=flat, duration=duration, loop=0, optimize=False)
     return buffer.getvalue()

@@ -49,9 +49,10 @@ td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 svg.dot{display:inline-block;width:.7em;height:.7em;margin:0 .45em 0 0}
 .steps td,.steps th{padding:5px 10px 5px 0}.steps tr.first td{border-bottom:0;padding-bottom:0}
 .steps tr.more td{color:var(--soft);font-size:.85rem;padding-top:0}.steps td{overflow-wrap:anywhere}
+.steps th:nth-child(2){width:100%}.steps td.n:last-child,.steps th:last-child{padding-right:0}
 .hash{font:12px ui-monospace,Menlo,monospace;overflow-wrap:anywhere}
 .note{color:var(--soft);font-size:.88rem;margin:.6em 0 0}.bounds{margin:0 0 16px}
-@media(max-width:520px){body{font-size:15px}}
+@media(max-width:520px){body{font-size:15px}section{padding:14px 12px}.steps td,.steps th{padding-right:7px}}
 @media print{body{background:#fff;font-size:11pt}main{max-width:none;padding:0}section,.card{break-inside:avoid;
 border-color:#ccc}.wide{overflow:visible}*{print-color-adjust:exact;
 -webkit-print-color-adjust:exact}}
@@ -242,8 +243,7 @@ def _order(plan: Plan, facts: dict[str, PartFacts], colors: dict[str, str], veri
             ),
             element(
                 "tr",
-                element("td"),
-                element("td", f"{part.grasp}; {freedom(part)}", colspan=len(names) - 1),
+                element("td", f"{part.grasp}; {freedom(part)}", colspan=len(names)),
                 class_="more",
             ),
         ]

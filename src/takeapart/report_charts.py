@@ -10,7 +10,7 @@ from takeapart.assembly import Assembly, members
 from takeapart.bound_texts import STRAIGHT_LINE
 from takeapart.render_markup import Markup, element
 
-WIDTH, GRAPH_WIDTH = 400, 380  # units of the drawings: text of 14 (12) of them has 11 pixels on a telephone too
+WIDTH, GRAPH_WIDTH = 400, 348  # units of the drawings: text of 14 (12) of them has 11 pixels on a telephone too
 LENGTH, BAND, INK, GRID = "#2f6fb0", "#f2d0ab", "#39424e", "#e3e7ec"
 BEST_PLAN = "Blue: length of the best plan so far, m."
 BAND_NOTE = (
@@ -62,7 +62,7 @@ def progress(
         floor: straight-line bound of the plan, m; 0 where there is none.
         proved_after: queries after which the order was proved for the first time; what follows is refinement.
     """
-    width, height, left, right, top, bottom = WIDTH, 260, 52, 76, 30, 44
+    width, height, left, right, top, bottom = WIDTH, 260, 52, 88, 30, 44
     rows = [(float(row[0] or 0), float(row[1]), row[2]) for row in history if row[1] is not None]
     if not rows:
         return Markup()

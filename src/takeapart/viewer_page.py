@@ -31,6 +31,7 @@ from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene, view_o
 from takeapart.render_subject import load_subject
 from takeapart.run import JOURNAL
 from takeapart.run_journal import recorded_answers
+from takeapart.viewer_time import PLAYBACK
 
 ASSETS = Path(__file__).resolve().parent / "viewer_assets"
 MAXIMUM_BYTES = 10 * 2**20
@@ -107,6 +108,7 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
         if plan is None
         else {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
         "bounds_note": "" if plan is None else explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
+        "playback": PLAYBACK,
         "counts": {} if plan is None else plan.counts,
         "colors": {"current": CURRENT, "path": PATH, "goal": GOAL, "obstacle": STEEL},
         "parts": [_part(scene, i, each) for i, each in enumerate(facts)],

@@ -159,6 +159,7 @@ class Player {
   tell(place) {
     const { data } = this, steps = data.steps, key = `${place.step} ${this.direction}`;
     document.getElementById("time").value = this.time;
+    document.getElementById("clock").textContent = `playback ${this.time.toFixed(1)} of ${this.timeline.total.toFixed(1)} s`;
     if (this.told === key) return;
     this.told = key;
     const ordered = this.direction === "disassembly" ? steps : [...steps].reverse(), number = steps.length ? this.number(place.step) : 0;
@@ -187,6 +188,8 @@ class Player {
     note.textContent = data.bounds_note;
     get("totals").replaceChildren(table(rows), note);
     get("time").max = this.timeline.total;
+    get("time").title = get("clock").title = data.playback;
+    new ResizeObserver(() => this.ticks()).observe(get("line"));
     get("time").addEventListener("input", () => { this.pause(); this.time = +get("time").value; this.draw(); });
     get("play").addEventListener("click", () => this.playing ? this.pause() : this.play());
     get("forward").addEventListener("click", () => this.jump(1));
@@ -215,6 +218,7 @@ class Player {
     this.told = null;
     const ordered = this.data.steps.map((step, k) => [step, k]);
     if (this.direction === "assembly") ordered.reverse();
+    this.ticks();
     document.getElementById("list").replaceChildren(...ordered.map(([step, k], n) => {
       const item = document.createElement("li"), button = document.createElement("button");
       for (const text of [n + 1, step.name, step.length.toFixed(3)]) button.append(Object.assign(document.createElement("span"), { textContent: text }));
@@ -222,6 +226,17 @@ class Player {
       button.addEventListener("click", () => { this.time = this.stepTime(k) + 1e-6; this.choose(step.part); });
       item.append(button);
       return item;
+    }));
+  }
+
+  ticks() {  // where each step begins; numbered as far as there is room
+    const box = document.getElementById("ticks"), steps = this.data.steps;
+    const each = Math.max(1, Math.ceil(steps.length * 22 / Math.max(box.clientWidth, 1)));
+    box.replaceChildren(...steps.map((_, k) => {
+      const n = this.number(k), tick = document.createElement("span");
+      tick.textContent = (n - 1) % each ? "" : n;
+      tick.style.left = `${100 * this.stepTime(k) / this.timeline.total}%`;
+      return tick;
     }));
   }
 
