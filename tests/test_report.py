@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import re
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from shown_plans import small_plan, small_workcell, write_files
+from shown_plans import small_plan, small_scene, small_workcell, write_files
 from small_assemblies import three_bars
 from takeapart.cli import main
-from takeapart.files import save_assembly
+from takeapart.files import save_assembly, save_plan
 from takeapart.plan import Plan
 from takeapart.planning import PlanningOptions, plan
-from takeapart.report import report
+from takeapart.render_facts import part_facts
+from takeapart.render_markup import element
+from takeapart.report import page, report
 from takeapart.report_charts import Bar, bars, graph, progress, progress_note
 from takeapart.search.result import History, Progress
+from takeapart.serialization import motion_hash
+from takeapart.verification_report import Agreement, Clearance, VerificationReport, report_as_dict
 
 
 @pytest.fixture(scope="session")
@@ -69,6 +75,57 @@ def test_report_of_a_plan_has_its_numbers_and_needs_no_other_file(tmp_path: Path
     assert made.hashes["assembly"] in words and made.hashes["workcell"] in words
     assert 'name="viewport"' in text and "@media print" in text
     assert len(text) < 2_000_000
+
+
+def verification_of(plan: Plan, distances: list[float | None], **other: object) -> dict[str, object]:
+    """What ``takeapart verify --report`` writes about a plan, with distances of its steps."""
+    clearances = tuple(
+        None if distance is None else Clearance(distance, k, plan.steps[k].part, 0.0, "a", "b")
+        for k, distance in enumerate(distances)
+    )
+    made = VerificationReport("x", (), 3, 9, None, Agreement(), 0, 1.0, clearances=clearances, motion=motion_hash(plan))
+    return report_as_dict(made) | other
+
+
+def test_clearance_of_every_step_is_that_of_the_verification(tmp_path: Path, folder: Path) -> None:
+    given, made = write_files(tmp_path, folder), small_plan(folder)
+    file = (tmp_path / "plan.json").rename(tmp_path / "x.plan.json")
+    arguments = (file, tmp_path / "product.json", str(tmp_path / "cell.toml"))
+    assert "clear, mm" not in report(*arguments)
+    beside = tmp_path / "x.verification.json"
+    beside.write_text(json.dumps(verification_of(made, [0.00051, None, 0.00278])))
+    text = report(*arguments)
+    assert "clear, mm" in text and "has found nothing against it" in text and "0.51 mm" in text
+    cells = re.findall(r'<td class="n">([^<]*)</td>', text[text.index("clear, mm") : text.index("Settings")])
+    assert cells[3::4] == ["0.51", "-", "2.78"] and cells[0::4] == ["1", "2", "3"]
+    save_plan(made.inverted(), file)  # the same motions, told the other way round
+    text = report(*arguments)
+    cells = re.findall(r'<td class="n">([^<]*)</td>', text[text.index("clear, mm") : text.index("Settings")])
+    assert cells[3::4] == ["2.78", "-", "0.51"]
+    finding = {"step": 0, "part": "a", "time": None, "check": "width", "message": "m", "depth": 0.0}
+    document = verification_of(made, [None] * 3, passed=False, findings=[finding])
+    beside.write_text(json.dumps(document))
+    assert "has 1 findings: it may not be trusted" in report(*arguments)
+    for wrong, message in (
+        (verification_of(made, [None] * 3, motion="0" * 64), "of another plan"),
+        (verification_of(made, [None] * 3, passed=False), "holds no verification"),
+        (verification_of(made, [None] * 3, clearances=[{"distance": "<b>"}] * 3), "holds no verification"),
+        ([], "holds no verification"),
+    ):
+        beside.write_text(json.dumps(wrong))
+        command = ["report", str(file), "--out", str(tmp_path / "x.html"), "--verification", str(beside), *given]
+        done = CliRunner().invoke(main, command)
+        assert done.exit_code == 2 and message in done.output and len(done.output.splitlines()) == 1
+        assert not (tmp_path / "x.html").exists()
+
+
+def test_what_is_said_of_every_part_is_said_once(folder: Path) -> None:
+    scene = small_scene(folder)
+    text = page(small_plan(folder), scene, part_facts(scene), (), element("p"))
+    words = Page(text).words
+    assert sum("would fall" in each for each in words) == 1
+    assert "free from the start" in " ".join(words)
+    assert not [word for word, count in Counter(words).items() if count > 1 and len(word) > 60]
 
 
 def test_report_of_a_run_tells_what_the_planner_answered(tmp_path: Path, folder: Path) -> None:

@@ -195,7 +195,9 @@ FREEDOM_NOTE = (
 def freedom(facts: PartFacts) -> str:
     """Why a part leaves no earlier, in the terms of `FREEDOM_NOTE`: only what is its own."""
     reasons = [f"carries {_listed(facts.carries)}"] if facts.carries else []
-    if facts.under:
+    if facts.under and set(facts.under) == set(facts.carries):
+        reasons = [f"carries and is below {_listed(facts.carries)}"]
+    elif facts.under:
         reasons.append(f"below {_listed(facts.under)}")
     if not facts.lifts:
         return "; ".join([*reasons, "can never be lifted"])

@@ -95,12 +95,12 @@ def progress(
         if band < length and following > queries:
             across, down = x(following) - x(queries), y(band) - y(length)
             parts.append(_box(x(queries), y(length), across, down, BAND, shape_rendering="crispEdges"))
-    line = f"M{x(rows[0][0]):.1f} {y(rows[0][1]):.1f}"
+    line = f"M{x(rows[0][0]):.2f} {y(rows[0][1]):.2f}"
     for queries, length, _ in rows[1:]:
-        line += f"H{x(queries):.1f}V{y(length):.1f}"
+        line += f"H{x(queries):.2f}V{y(length):.2f}"
     named = [(f"{line}H{x(end):.1f}", rows[-1][1], LENGTH, "best plan")]
     if floor:
-        named.append((f"M{left} {y(floor):.1f}H{x(end):.1f}", floor, INK, "bound"))
+        named.append((f"M{left} {y(floor):.2f}H{x(end):.2f}", floor, INK, "bound"))
     for path, value, color, name in named:
         parts.append(element("path", d=path, fill="none", stroke=color, stroke_width=2.5, stroke_linejoin="round"))
         parts.append(_text(width - right + 6, y(value) + 5, name, fill=color, class_="name"))
