@@ -118,6 +118,7 @@ def test_nothing_of_a_plan_runs_in_report_and_standalone_page(tmp_path: Path, fo
     file, given = hostile_plan(tmp_path, folder)
     subject = load_subject(file, Path(given[1]), given[3])
     scene = PlanScene(subject.assembly, subject.workcell, subject.plan)
+    assert subject.plan is not None
     facts = [replace(each, grasp=CLOSING, carries=(SCRIPT, FRAME), refusals={IMAGE: 1}) for each in part_facts(scene)]
     texts = {
         "report.html": report(file, Path(given[1]), given[3]),

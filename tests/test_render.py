@@ -147,6 +147,18 @@ def test_current_part_is_drawn_in_its_color_where_the_moment_has_it(scene: PlanS
 
 
 @pytest.mark.usefixtures("graphics")
+def test_soft_shadows_change_the_edges_of_shadows_only(scene: PlanScene) -> None:
+    pictures = {}
+    for soft in (False, True):
+        with Renderer(scene, RenderOptions(320, 240, soft=soft)) as renderer:
+            pictures[soft] = renderer.picture(scene.moment(0, 0.4)).astype(int)
+            again = renderer.picture(scene.moment(0, 0.4))
+        assert np.array_equal(again, pictures[soft])  # the light is where it was
+    difference = np.abs(pictures[True] - pictures[False]).max(axis=2)
+    assert 0.001 < (difference > 8).mean() < 0.1  # hard edges became soft, all else stays
+    assert abs(pictures[True].mean() - pictures[False].mean()) < 1
+
+
 def test_removed_parts_vanish_or_lie_beside(scene: PlanScene) -> None:
     last = scene.moment(len(scene.steps) - 1, 0.0)
     pictures = []

@@ -108,7 +108,7 @@ def render(
     if kind == ".mp4":
         pixels, tall = pixels // 2 * 2, tall // 2 * 2
     with_robot = subject.plan is not None if robot is None else robot
-    options = RenderOptions(pixels, tall, view, with_robot, laid_out=laid_out)
+    options = RenderOptions(pixels, tall, view, with_robot, laid_out=laid_out, soft=kind == ".png")
     order = range(len(scene.steps)) if scene.direction == "disassembly" else range(len(scene.steps) - 1, -1, -1)
     captions = [f"{i + 1}  {scene.steps[k].part}  {metres(scene.steps[k].length)}" for i, k in enumerate(order)]
     with progress_bar(f"drawing {subject.assembly.name}") as update:
@@ -134,7 +134,8 @@ def render(
                     save_png(contact_sheet(images, captions, title), out)
                 else:
                     moment = None if step is None else scene.moment(order[step - 1], at)
-                    save_png(renderer.picture(moment), out)
+                    picture = renderer.picture(moment)
+                    save_png(picture if step is None else captioned(picture, captions[step - 1]), out)
     if as_json:
         print_json({"file": str(out), "bytes": out.stat().st_size})
     else:

@@ -30,6 +30,7 @@ Image = NDArray[np.uint8]
 """A picture (H, W, 3), red, green, blue."""
 
 PATH_RADIUS, PATH_POINTS = 0.0035, 48
+LIGHT_RADIUS, LIGHT_DIRECTIONS = 0.012, 6  # rad, half the angle that the light fills; samples on its edge
 SAMPLES = 2  # pixels per pixel along each edge; the picture is the mean of them
 
 
@@ -53,6 +54,7 @@ class RenderOptions:
         robot: whether the arm is drawn.
         path: whether the tool path of the current step is drawn.
         laid_out: whether removed parts lie beside the assembly; otherwise they are hidden.
+        soft: whether shadows have soft edges, which takes several times as long.
     """
 
     width: int = 1200
@@ -61,6 +63,7 @@ class RenderOptions:
     robot: bool = True
     path: bool = True
     laid_out: bool = False
+    soft: bool = False
 
 
 class Renderer:
@@ -101,12 +104,29 @@ class Renderer:
         self._renderer.update_scene(self._data, _camera(self._model, view or self.view))
         if moment is not None and self.options.path:
             self._draw_path(np.asarray(self.scene.steps[moment.step].tool_path)[:, :3])
-        pixels = self._renderer.render().astype(np.uint16)
+        pixels = self._pixels()
         rows = (
             sum(pixels[k::SAMPLES] for k in range(1, SAMPLES)) + pixels[::SAMPLES]
         )  # ten times as fast as a reduction
         mean = (sum(rows[:, k::SAMPLES] for k in range(1, SAMPLES)) + rows[:, ::SAMPLES]) // SAMPLES**2
         return np.asarray(mean, dtype=np.uint8)
+
+    def _pixels(self) -> NDArray[np.uint16]:
+        """The scene in all samples; where shadows are soft, the mean over directions of the light that casts them."""
+        if not self.options.soft:
+            return self._renderer.render().astype(np.uint16)
+        drawn = self._renderer.scene
+        casting = [drawn.lights[k] for k in range(drawn.nlight) if drawn.lights[k].castshadow]
+        directions = [np.array(light.dir, dtype=float) for light in casting]
+        total: NDArray[np.uint16] = np.zeros(1, dtype=np.uint16)
+        for turn in np.arange(LIGHT_DIRECTIONS) * 2 * np.pi / LIGHT_DIRECTIONS:
+            for light, direction in zip(casting, directions, strict=True):
+                across = np.cross(direction, (0.0, 0.0, 1.0))
+                across /= np.linalg.norm(across)
+                aside = np.cos(turn) * across + np.sin(turn) * np.cross(direction, across)
+                light.dir = direction + LIGHT_RADIUS * aside
+            total = total + self._renderer.render()
+        return total // LIGHT_DIRECTIONS
 
     def _pose(self, moment: Moment | None) -> None:
         scene, model = self.scene, self._model

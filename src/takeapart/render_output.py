@@ -130,7 +130,7 @@ class _Kept:
 
     @classmethod
     def of(cls, image: Image) -> _Kept:
-        return cls(image.shape, zlib.compress(np.ascontiguousarray(image), 1))
+        return cls(image.shape, zlib.compress(image.tobytes(), 1))
 
     @property
     def image(self) -> Image:

@@ -49,7 +49,8 @@ td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
 svg.dot{display:inline-block;width:.7em;height:.7em;margin:0 .45em 0 0}
 .steps td,.steps th{padding:5px 10px 5px 0}.steps tr.first td{border-bottom:0;padding-bottom:0}
 .steps tr.more td{color:var(--soft);font-size:.85rem;padding-top:0}.steps td{overflow-wrap:anywhere}
-.steps th:nth-child(2){width:100%}.steps td.n:last-child,.steps th:last-child{padding-right:0}
+.steps th:nth-child(2){width:100%}.steps th:last-child{white-space:normal}
+.steps td.n:last-child,.steps th:last-child{padding-right:0}
 .hash{font:12px ui-monospace,Menlo,monospace;overflow-wrap:anywhere}
 .note{color:var(--soft);font-size:.88rem;margin:.6em 0 0}.bounds{margin:0 0 16px}
 @media(max-width:520px){body{font-size:15px}section{padding:14px 12px}.steps td,.steps th{padding-right:7px}}
@@ -112,7 +113,7 @@ def picture_of(scene: PlanScene) -> Markup:
         from takeapart.render import Renderer, RenderOptions
         from takeapart.render_output import png_bytes
 
-        options = RenderOptions(PICTURE_WIDTH, PICTURE_WIDTH * 3 // 4)
+        options = RenderOptions(PICTURE_WIDTH, PICTURE_WIDTH * 3 // 4, soft=True)
         with Renderer(scene, options) as renderer:
             image = renderer.picture(scene.moment(0, 0.35) if scene.steps else None)
         data = base64.b64encode(png_bytes(image, colors=128)).decode()
