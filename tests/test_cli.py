@@ -243,7 +243,9 @@ def test_help_pages_fit_in_80_columns() -> None:
 def test_a_page_of_an_assembly_holds_its_parts(folder: Path) -> None:
     assert run("view", "three-bars.json", "--html", "page.html").exit_code == 0
     text = Path("page.html").read_text()
-    data = json.loads(text[text.index('id="data">') + 10 : text.rindex("</script>")])
+    found = re.search(r'id="data"[^>]*>(.*)</script>', text, re.DOTALL)
+    assert found is not None
+    data = json.loads(found.group(1))
     assert [part["name"] for part in data["parts"]] == [part.name for part in load_assembly("three-bars.json").parts]
     assert data["steps"] == [] and data["title"] == "three-bars"
 

@@ -24,6 +24,7 @@ ENDINGS = {"--workcell": ".toml", "--html": ".html", "report --out": ".html", "r
 FOLDERS = {"generate --out", "demo --out", "compare --out", "reproduce paper --out", "reproduce beyond --out"}
 FOLDERS |= {"plan --run", "plan --experience"}
 PATHS = {"--out", "--run", "--experience", "--guide", "--workcell", "--assembly", "--html", "--report", "--document"}
+PATHS |= {"--verification"}
 COMMANDS = {
     "plan": ["a.json"],
     "show": ["p.json"],

@@ -42,10 +42,11 @@ def test_objects_are_never_unpickled(folder: Path) -> None:
     assert kept("name") is None
 
 
-def test_without_a_place_nothing_is_kept_and_nothing_fails(folder: Path) -> None:
+def test_a_temporary_place_is_used_where_there_is_none(folder: Path) -> None:
     folder.write_text("a file where the folder would be")
-    keep("name", np.zeros(3))
-    assert kept("name") is None
+    keep("name", np.arange(3.0))
+    np.testing.assert_array_equal(kept("name"), np.arange(3.0))
+    assert folder.read_text() == "a file where the folder would be"
 
 
 @pytest.mark.slow

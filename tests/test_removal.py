@@ -14,6 +14,7 @@ from scipy.optimize import lsq_linear
 
 from conftest import Edge, random_box, random_rotation, random_states, scene_of
 from takeapart.assembly import Assembly, Part, members
+from takeapart.errors import InputError
 from takeapart.files import data_path, load_assembly
 from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse
 from takeapart.motion.edges import Scene
@@ -463,8 +464,8 @@ def test_blocked_where_the_goal_is_taken(robot: RobotModel, workcell: Workcell) 
     answer, planner = plan_in(robot, workcell, [FREE_BAR, block, bar("aside", [0.10, 0.45, 0.15], (0.02, 0.1, 0.02))])
     assert answer == Blocked(0, "path", 0b010)
     assert isinstance(planner.plan(0, 0b101, rng=np.random.default_rng(0)), Removal)
-    fixed, _ = plan_in(robot, workcell, [FREE_BAR, replace(block, fixed=True)])
-    assert isinstance(fixed, Blocked) and fixed.blamed == 0
+    with pytest.raises(InputError, match=r"goal: .* lies 30 mm inside fixed part 'block'"):
+        plan_in(robot, workcell, [FREE_BAR, replace(block, fixed=True)])
 
 
 def planner_of_trees(robot: RobotModel, workcell: Workcell, parts: list[Part], **options: int) -> RemovalPlanner:
