@@ -192,13 +192,15 @@ def test_damaged_page_says_so(damage: Any, message: str, page_file: Path, tmp_pa
 @pytest.mark.slow
 def test_page_of_contradictory_data_says_so(page_file: Path, tmp_path: Path) -> None:
     text = page_file.read_text()
-    data = json.loads(text[text.index('id="data">') + 10 : text.rindex("</script>")])
+    found = re.search(r'id="data"[^>]*>(.*)</script>', text, re.DOTALL)
+    assert found is not None
+    data = json.loads(found.group(1))
     data["steps"][1]["rows"] += 1
     broken = tmp_path / "broken.html"
     broken.write_text(assembled(json.dumps(data)))  # the checksum fits
-    with opened(broken.as_uri(), 900, 640) as found:
-        found.page.wait_for_selector("#error:not([hidden])", timeout=PATIENCE)
-        assert "is damaged" in found.page.locator("#error").inner_text()
+    with opened(broken.as_uri(), 900, 640) as shown:
+        shown.page.wait_for_selector("#error:not([hidden])", timeout=PATIENCE)
+        assert "is damaged" in shown.page.locator("#error").inner_text()
 
 
 @contextmanager
