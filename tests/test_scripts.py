@@ -6,9 +6,13 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+
+from takeapart.documents import readable_json, write_atomically
+from takeapart.experiments import growth
 
 ROOT = Path(__file__).parents[1]
 EXPERIMENTS = ROOT / "src" / "takeapart" / "experiments"
@@ -87,3 +91,14 @@ def test_script_runs_in_small(name: str, tmp_path: Path, request: pytest.Fixture
     if filled is not None:
         assert filled.read_text(encoding="utf-8") != before, "the table in the document is the old one"
     assert printed.strip() or any(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_growth_without_a_plan_in_time(tmp_path: Path) -> None:
+    case = growth.CASES[0]
+    outcome = growth.run(case, 0.01, 0)
+    assert outcome.length is None and outcome.first_plan is None
+    file = tmp_path / "outcome.json"
+    write_atomically(file, readable_json(asdict(outcome)))
+    assert growth.load(file) == outcome
+    assert f"| {case.name} |" in growth.table([outcome]) and growth.NOT_FOUND in growth.table([outcome])

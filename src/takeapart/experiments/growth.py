@@ -69,9 +69,10 @@ class Outcome:
 
     Args:
         states: of the lattice; 0 where they were not enumerated.
-        first_plan: seconds until there was a plan; infinite if there never was.
+        first_plan: seconds until there was a plan; none if there never was.
         seconds: of the whole search, building included.
-        bound: sequence bound, m; NaN if there is none.
+        length: of the best plan, m; none if there is no plan.
+        bound: sequence bound, m; none if there is none.
     """
 
     case: str
@@ -79,10 +80,10 @@ class Outcome:
     states: int
     queries: int
     motion_plans: int
-    first_plan: float
+    first_plan: float | None
     seconds: float
-    length: float
-    bound: float
+    length: float | None
+    bound: float | None
 
 
 def run(case: Case, seconds: float, seed: int) -> Outcome:
@@ -105,11 +106,16 @@ def run(case: Case, seconds: float, seed: int) -> Outcome:
         int(result.statistics.get("states", 0)),
         problem.counts.removal_queries,
         problem.counts.motion_plans,
-        first,
+        _finite(first),
         time.monotonic() - started,
-        result.length,
-        math.nan if result.sequence_bound is None else result.sequence_bound,
+        _finite(result.length),
+        result.sequence_bound,
     )
+
+
+def _finite(value: float) -> float | None:
+    """What a file of results can hold."""
+    return value if math.isfinite(value) else None
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
@@ -117,8 +123,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
     header = ["parts", "cells", "states", "queries", "motion plans", "first plan, s", "all, s", "length, m", "bound, m"]
     rows = []
     for each in sorted(outcomes, key=lambda each: each.parts):
-        found = math.isfinite(each.length)
-        figures = [f"{each.length:.2f}", f"{each.bound:.2f}", f"{100 * (each.length / each.bound - 1):.1f} %"]
+        length = NOT_FOUND if each.length is None else f"{each.length:.2f}"
+        bound = NOT_FOUND if each.bound is None else f"{each.bound:.2f}"
+        gap = f"{100 * (each.length / each.bound - 1):.1f} %" if each.length and each.bound else NOT_FOUND
         rows.append(
             [
                 each.parts,
@@ -126,9 +133,11 @@ def table(outcomes: Sequence[Outcome]) -> str:
                 each.states or "too many",
                 each.queries,
                 each.motion_plans,
-                f"{each.first_plan:.0f}" if found else NOT_FOUND,
+                NOT_FOUND if each.first_plan is None else f"{each.first_plan:.0f}",
                 f"{each.seconds:.0f}",
-                *(figures if found else [NOT_FOUND] * 3),
+                length,
+                bound,
+                gap,
             ]
         )
     return markdown_table([*header, "gap"], rows)
