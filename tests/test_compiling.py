@@ -151,6 +151,8 @@ def test_what_stands_in_others_is_not_missing_where_they_are_there(monkeypatch: 
     left = set(cli_compile.missing(orders=True))
     assert {"motion.rrt.rrt_connect", "motion.scene.piece_free", "robot.kernels.placed"} <= left
     assert not left & {"robot.separation.separation", "robot.kernels.collect_placed"}
+    have.clear()
+    assert set(cli_compile.TABLES_NEED) <= set(cli_compile.missing(orders=False)), "else tables are filled in silence"
 
 
 def test_what_others_contain_is_compiled_before_them(monkeypatch: pytest.MonkeyPatch) -> None:

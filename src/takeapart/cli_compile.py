@@ -1,4 +1,4 @@
-"""Compiles the kernels before the work starts, in several processes, and says so: the first time takes a minute.
+"""Compiles the kernels before the work starts, in several processes, and says so: the first time takes a minute or two.
 
 Otherwise the time limit of a first search would be spent on compiling. What was compiled is kept in numba's cache.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from takeapart.cli_kernels import Unit
     from takeapart.workcell import Workcell
 
-NOTICE = "compiling the geometry kernels for the first time, which takes about a minute"
+NOTICE = "compiling the geometry kernels for the first time, which takes a minute or two"
 WORKERS = 8  # at most; what kernels have in common is compiled one after another
 TABLES_NEED = ("robot.separation.separation", "robot.self_collision._fill")
 
@@ -87,8 +87,7 @@ def _compile(units: Mapping[str, Unit], workcell: Workcell, update: Callable[[st
     functions = {unit.function: name for name, unit in units.items()}
     needs = {name: {functions[f] for f in called_by(unit.function) if f in functions} for name, unit in units.items()}
     tables = "distances between the robot's links"
-    if any(name in units for name in TABLES_NEED):
-        needs = {tables: {name for name in TABLES_NEED if name in units}} | needs
+    needs = {tables: {name for name in TABLES_NEED if name in units}} | needs
     total, done = len(needs), 0
     count = min(len(os.sched_getaffinity(0)), WORKERS, total)
     pool = _open_pool(count)

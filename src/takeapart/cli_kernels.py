@@ -77,8 +77,6 @@ def units(orders: bool) -> dict[str, Unit]:
     shared = [
         (kernels._hits_itself, (arm, held, 0.0, work)),
         (kernels.held_hits_world, (arm, held, world, flags, 0.0, work, flags, True)),
-        (separation.separation, (two, two, two, one, 0.0, two)),
-        (self_collision._fill, (two, two, three, one, one, np.zeros((1, 1), np.uint16))),
         (kernels.placed, (arm, held, world, flags, 0.0, work)),
         (kernels.collect_placed, (arm, held, world, flags, 0.0, work, flags)),
         (scene.look_at, (situation, one, one, 0.0, 0.0)),
@@ -87,6 +85,8 @@ def units(orders: bool) -> dict[str, Unit]:
         (edges.tool_edge, (situation, one, one, 0.0, two)),
     ]
     called = [
+        (separation.separation, (two, two, two, one, 0.0, two)),
+        (self_collision._fill, (two, two, three, one, one, np.zeros((1, 1), np.uint16))),
         (hand.hand_masks, (arm, held, world, flags, 0.0, 0.0, 0.0, three, three, one, 0.0, held, work, table, table)),
         (blockers.path_blockers, (situation, two, flags)),
         (legs.two_legs, (situation, two, two, two, 0, 0.0, 0.0, 0)),
