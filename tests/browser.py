@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -70,3 +71,12 @@ def opened(address: str, width: int = 1200, height: int = 800, offline: bool = F
             yield found
         finally:
             browser.close()
+
+
+def wait_until(page: Any, condition: str, timeout: float = PATIENCE) -> None:
+    """Waits, ms, for a condition in JavaScript. It is asked from here: the policy of our pages lets nothing, not even
+    the browser's driver, evaluate text inside them."""
+    end = time.monotonic() + timeout / 1000
+    while not page.evaluate(condition):
+        assert time.monotonic() < end, f"never came true: {condition}"
+        page.wait_for_timeout(50)

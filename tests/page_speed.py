@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from browser import opened
+from browser import opened, wait_until
 from takeapart.files import data_path
 from takeapart.render_scene import PlanScene
 from takeapart.render_subject import load_subject
@@ -38,7 +38,7 @@ def standalone(plan: Path, folder: Path) -> tuple[float, list[float], int]:
     out = folder / "plan.html"
     save_page(plan, out)
     with opened(out.as_uri(), offline=True) as found:
-        found.page.wait_for_function("window.takeapart && window.takeapart.firstPicture > 0", timeout=60_000)
+        wait_until(found.page, "window.takeapart && window.takeapart.firstPicture > 0", 60_000)
         first = found.page.evaluate("takeapart.firstPicture") / 1000
         found.page.click("#play")
         found.page.wait_for_timeout(1000 * SECONDS)

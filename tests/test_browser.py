@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from browser import PATIENCE, Opened, opened
+from browser import PATIENCE, Opened, opened, wait_until
 from shown_plans import small_scene, write_files
 from takeapart.errors import InputError
 from takeapart.files import data_path, load_workcell
@@ -45,7 +45,7 @@ def page_file(folder: Path) -> Path:
 
 def drawn(found: Opened) -> None:
     """Waits until the page has shown its first picture."""
-    found.page.wait_for_function("window.takeapart && window.takeapart.firstPicture > 0", timeout=PATIENCE)
+    wait_until(found.page, "window.takeapart && window.takeapart.firstPicture > 0")
 
 
 def differ(first: np.ndarray, second: np.ndarray) -> float:
@@ -65,12 +65,12 @@ def test_standalone_page_plays_from_disk_without_a_network(page_file: Path, fold
         first = found.picture()
         assert first.std() > 20 and len(np.unique(first.reshape(-1, 3), axis=0)) > 100  # not blank
         page.click("#forward")
-        page.wait_for_function("document.querySelector('#now').textContent.includes('2 of 3')")
+        wait_until(page, "document.querySelector('#now').textContent.includes('2 of 3')")
         page.wait_for_timeout(500)
         assert differ(first, found.picture()) > 0.004
         before = page.evaluate("takeapart.player.time")
         page.click("#play")
-        page.wait_for_function(f"takeapart.player.time > {before} + 0.2", timeout=PATIENCE)
+        wait_until(page, f"takeapart.player.time > {before} + 0.2")
         page.click("#play")
         stopped = page.evaluate("takeapart.player.time")
         page.wait_for_timeout(300)
