@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from support_scenes import box, collar
 from takeapart.assembly import Assembly, Connector, Part
 from takeapart.errors import InputError
 from takeapart.files import data_path, load_assembly
@@ -29,10 +30,6 @@ from verification_scene import scene_assembly, scene_plan, scene_workcell
 
 NOT_ABOVE = r"part 'bar' tips: its weight lies"
 LOW, BAR = 0.01, 0.02  # m, half the base's height; thickness of the bar
-
-
-def box(x: float, y: float, z: float, size: tuple[float, float, float]) -> OrientedBox:
-    return OrientedBox(pose((x, y, z)), np.array(size) / 2)
 
 
 def shelf(*walls: tuple[OrientedBox, ...], height: float = 0.0, mass: float = 0.1) -> Assembly:
@@ -205,18 +202,11 @@ def test_a_centre_of_mass_lies_inside_of_what_carries_it(outside: float, accepte
         assert bool(judged(support)) == (outside > 1e-4)
 
 
-def ring(x: float, z: float, floor: bool = False) -> tuple[OrientedBox, ...]:
-    """Four cheeks around a post of 2 cm, 0.5 mm beside it, 2 cm high."""
-    sides = [box(x + s * 0.0115, 0, z, (0.002, 0.025, 0.02)) for s in (-1, 1)]
-    sides += [box(x, s * 0.0115, z, (0.021, 0.002, 0.02)) for s in (-1, 1)]
-    return (*sides, box(x, 0, z - 0.011, (0.025, 0.025, 0.002))) if floor else tuple(sides)
-
-
 @pytest.mark.parametrize(("above", "accepted"), [(0.0, True), (9e-4, True), (2e-3, False), (0.015, False)])
 def test_a_post_stands_on_what_is_below_it(above: float, accepted: bool) -> None:
     base = at("base", (0.4, 0.06, 2 * LOW), (0, 0, 0), fixed=True)
     post = at("post", (0.02, 0.02, 0.2), (0, 0, LOW + 0.1 + above))
-    stand = Assembly("stand", (base, post), (Connector("o", "O", "base", "post", ring(0.0, LOW + 0.01)),))
+    stand = Assembly("stand", (base, post), (Connector("o", "O", "base", "post", collar(0.0, LOW, LOW + 0.02)),))
     if accepted:
         accepted_by_both(stand)
     else:
@@ -240,10 +230,12 @@ def test_a_lintel_lies_on_the_posts_that_its_own_connectors_hold(
     base = at("base", (0.6, 0.06, 2 * LOW), (0, 0, 0), fixed=True)
     posts = tuple(at(f"post{i}", (0.02, 0.02, 0.2), (x, 0, LOW + 0.1)) for i, x in enumerate((-0.2, 0.2)))
     lintel = at("lintel", (0.5, 0.02, 0.02), (0, 0, LOW + 0.21 + above))
-    feet = [Connector(f"foot{i}", "O", "base", f"post{i}", ring(x, LOW + 0.01)) for i, x in enumerate((-0.2, 0.2))]
+    feet = [
+        Connector(f"foot{i}", "O", "base", f"post{i}", collar(x, LOW, LOW + 0.02)) for i, x in enumerate((-0.2, 0.2))
+    ]
     heads = []
     for i, x in enumerate((-0.2, 0.2)):
-        walls = tuple(wall.moved(pose((0, 0, -(LOW + 0.21 + above)))) for wall in ring(x, LOW + 0.19))
+        walls = tuple(wall.moved(pose((0, 0, -(LOW + 0.21 + above)))) for wall in collar(x, LOW + 0.18, LOW + 0.2))
         heads.append(Connector(f"head{i}", kind, "lintel", f"post{i}", walls))
     gate = Assembly("gate", (base, *posts, lintel), (*feet, *heads))
     assert unsupported(gate) == (("lintel",) if floats else ())

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog, lsq_linear
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from box_oracle import box_distance
 from takeapart.contact import TOUCHING, beyond_hull, distance, seats
 from takeapart.geometry import Array, OrientedBox, pose
 
@@ -17,20 +18,13 @@ def drawn(rng: np.random.Generator, reach: float, tilt: float) -> OrientedBox:
     return OrientedBox(T, rng.uniform(0.01, 0.1, 3))
 
 
-def least_distance(a: OrientedBox, b: OrientedBox) -> float:
-    """Of one point in each box, by bounded least squares."""
-    A = np.hstack([a.T_frame_box[:3, :3] * a.half_extents, -b.T_frame_box[:3, :3] * b.half_extents])
-    found = lsq_linear(A, b.T_frame_box[:3, 3] - a.T_frame_box[:3, 3], (-1, 1), method="bvls")
-    return float(np.linalg.norm(A @ found.x - (b.T_frame_box[:3, 3] - a.T_frame_box[:3, 3])))
-
-
 @pytest.mark.parametrize("tilt", [0.0, 0.01, 2.0])
 def test_distance_is_that_of_the_nearest_points(tilt: float) -> None:
     rng = np.random.default_rng(3)
     apart = 0
     for _ in range(100):
         first, second = ([drawn(rng, 0.15, tilt) for _ in range(2)] for _ in range(2))
-        expected = min(least_distance(a, b) for a in first for b in second)
+        expected = min(box_distance(a, b) for a in first for b in second)
         found = distance(first, second)
         if expected > 1e-6:
             apart += 1
@@ -73,7 +67,7 @@ def test_seats_are_the_places_where_one_box_lies_on_another() -> None:
         low, high = 0.0, 1.0  # lower it until it just touches, by the distance alone
         for _ in range(30):
             middle = (low + high) / 2
-            apart = least_distance(above.moved(pose((0, 0, middle))), below) > 1e-9
+            apart = box_distance(above.moved(pose((0, 0, middle))), below) > 1e-9
             low, high = (low, middle) if apart else (middle, high)
         above = above.moved(pose((0, 0, high + float(rng.choice([0.0, 5e-4, 3e-3])))))
         corners = seats([above], [below])

@@ -10,8 +10,8 @@ import functools
 import mujoco
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
 
+from box_oracle import box_distance
 from conftest import (
     boxes_around,
     random_box,
@@ -41,15 +41,6 @@ BOX_SIGHT = 0.04  # m, of exact distances between boxes
 
 
 # ---- boxes
-
-
-def box_distance(a: OrientedBox, b: OrientedBox, padding: float = 0.0) -> float:
-    """Distance of two boxes, the first one grown on every side, m: least squares over the points of both."""
-    A = np.column_stack([a.T_frame_box[:3, :3], -b.T_frame_box[:3, :3]])
-    offset = b.T_frame_box[:3, 3] - a.T_frame_box[:3, 3]
-    bound = np.concatenate([a.half_extents + padding, b.half_extents])
-    solution = lsq_linear(A, offset, (-bound, bound), method="bvls", tol=1e-14)
-    return float(np.linalg.norm(A @ solution.x - offset))
 
 
 def meet(a: OrientedBox, b: OrientedBox, padding: float) -> bool:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
 from ssik.prebuilt import franka_panda_ik
 
+from box_oracle import box_distance
 from mutation_table import ASSEMBLIES, judged, scene_target, shipped_target
 from plan_mutations import MUTATIONS, Corrupted
 from takeapart.assembly import Assembly, Connector, members
@@ -206,14 +206,6 @@ def test_held_and_standing_boxes_agree_with_the_separating_axis_test(scene: Scen
     assert hits > 20
 
 
-def distance_of_boxes(first: OrientedBox, second: OrientedBox) -> float:
-    """Distance of two boxes, m, by bounded least squares over one point in each; 0 if they overlap."""
-    A, B = (box.T_frame_box[:3, :3] * box.half_extents for box in (first, second))
-    apart = second.T_frame_box[:3, 3] - first.T_frame_box[:3, 3]
-    found = lsq_linear(np.hstack([A, -B]), apart, bounds=(-1.0, 1.0), tol=1e-14)
-    return float(np.linalg.norm(found.fun))
-
-
 def test_separate_boxes_within_sight_are_all_seen_at_their_distance() -> None:
     """Held part and fingers against what stands, apart by up to 8 cm: MuJoCo's own contacts leave out some of these."""
     scene = Scene(scene_assembly(), scene_workcell(), sight=0.08)
@@ -245,7 +237,7 @@ def test_separate_boxes_within_sight_are_all_seen_at_their_distance() -> None:
                 if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) > 0.0801 + spheres:
                     assert (a, b) not in seen
                     continue
-                expected = distance_of_boxes(box_of(a), box_of(b))
+                expected = box_distance(box_of(a), box_of(b))
                 if 1e-4 < expected < 0.0799:
                     apart += 1
                     assert seen[a, b] == pytest.approx(expected, abs=1e-5)

@@ -42,6 +42,10 @@ class Part:
     mass: float
     fixed: bool = False
 
+    def boxes_in_world(self) -> list[OrientedBox]:
+        """The boxes of the shape where the part stands in the finished assembly."""
+        return [box.moved(self.T_world_part) for box in self.shape.boxes()]
+
 
 @dataclass(frozen=True, eq=False)
 class Connector:

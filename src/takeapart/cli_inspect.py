@@ -11,11 +11,11 @@ import click
 
 from takeapart.cli_compile import compile_first
 from takeapart.cli_output import (
-    ASSEMBLY_HELP,
     FILE,
     examples,
     json_option,
     metres,
+    plan_assembly_option,
     print_json,
     print_table,
     progress_bar,
@@ -39,11 +39,7 @@ if TYPE_CHECKING:
     epilog=examples("takeapart show product.json", "takeapart show product.plan.json", "takeapart show panda"),
 )
 @click.argument("file", type=FILE)
-@click.option(
-    "--assembly",
-    type=FILE,
-    help=ASSEMBLY_HELP,
-)
+@plan_assembly_option
 @json_option
 def show(file: Path, assembly: Path | None, as_json: bool) -> None:
     """Print what FILE holds: a plan or assembly (JSON), a workcell (TOML, or the name of a shipped one)."""

@@ -110,9 +110,16 @@ FOLDER = FileName(folder=True)
 SECONDS = Seconds()
 LARGEST_SEED = 2**63 - 1
 
-ASSEMBLY_HELP = "The assembly of a plan.  [default: the one with the plan's hash, beside it or shipped]"
-WORKCELL_HELP = "The workcell.  [default: the one with the plan's hash, shipped or beside it; panda without a plan]"
-
+plan_assembly_option = click.option(
+    "--assembly",
+    type=FILE,
+    help="The assembly of a plan.  [default: the one with the plan's hash, beside it or shipped]",
+)
+plan_workcell_option = click.option(
+    "--workcell",
+    metavar="NAME|FILE.toml",
+    help="The workcell.  [default: the one with the plan's hash, shipped or beside it; panda without a plan]",
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, for machines.")
 seed_option = click.option(
     "--seed",

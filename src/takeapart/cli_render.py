@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from takeapart.cli_output import (
-    ASSEMBLY_HELP,
     FILE,
-    WORKCELL_HELP,
     FiniteNumber,
     examples,
     json_option,
     metres,
     note,
+    plan_assembly_option,
+    plan_workcell_option,
     print_json,
     progress_bar,
     require_output,
@@ -57,8 +57,8 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.rende
     "--frames", type=click.IntRange(2, 240), default=12, show_default=True, help="Of an animation, for every step."
 )
 @click.option("--fps", type=FiniteNumber(1, 60), default=15.0, show_default=True, help="Frames per second.")
-@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
-@click.option("--workcell", metavar="NAME|FILE.toml", help=WORKCELL_HELP)
+@plan_assembly_option
+@plan_workcell_option
 @json_option
 def render(
     file: Path,

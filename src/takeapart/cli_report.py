@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 
 from takeapart.cli_output import (
-    ASSEMBLY_HELP,
     FILE,
-    WORKCELL_HELP,
     examples,
     json_option,
     note,
+    plan_assembly_option,
+    plan_workcell_option,
     print_json,
     progress_bar,
     require_output,
@@ -26,8 +26,8 @@ from takeapart.errors import InputError
 )
 @click.argument("file", metavar="PLAN|RUN", type=FILE)
 @click.option("--out", type=FILE, required=True, help="The HTML file; it needs no other file.")
-@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
-@click.option("--workcell", metavar="NAME|FILE.toml", help=WORKCELL_HELP)
+@plan_assembly_option
+@plan_workcell_option
 @click.option(
     "--verification",
     type=FILE,

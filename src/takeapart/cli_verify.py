@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING
 import click
 
 from takeapart.cli_output import (
-    ASSEMBLY_HELP,
     EXIT_UNVERIFIED,
     FILE,
-    WORKCELL_HELP,
     examples,
     json_option,
+    plan_assembly_option,
+    plan_workcell_option,
     print_json,
     progress_bar,
     require_output,
 )
 from takeapart.cli_plan_output import plan_summary, print_plan
-from takeapart.messages import shown
 
 if TYPE_CHECKING:
     from takeapart.verification import VerificationReport
@@ -35,12 +34,8 @@ SHOWN_FINDINGS = 20
     ),
 )
 @click.argument("plan", type=FILE)
-@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
-@click.option(
-    "--workcell",
-    metavar="NAME|FILE.toml",
-    help=WORKCELL_HELP,
-)
+@plan_assembly_option
+@plan_workcell_option
 @click.option(
     "--physics/--no-physics",
     default=True,
@@ -59,14 +54,12 @@ def verify(
     pip install 'takeapart[verify]'.
     """
     from takeapart.documents import readable_json, write_atomically
-    from takeapart.files import load_assembly, load_plan, load_workcell
-    from takeapart.sources import source_assembly, source_workcell
+    from takeapart.files import load_plan
+    from takeapart.sources import sources_of
     from takeapart.verification import report_as_dict, verify_plan
 
     checked = load_plan(plan)
-    place = shown(plan)
-    product = load_assembly(assembly) if assembly else source_assembly(checked, [plan.parent], place)
-    cell = load_workcell(workcell) if workcell else source_workcell(checked, [plan.parent], place)
+    product, cell = sources_of(checked, plan, assembly, workcell)
     if report is not None:
         require_output(report, plan, *([assembly] if assembly else []))
     with progress_bar(f"verifying {checked.assembly}"):

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from takeapart.cli_output import (
-    ASSEMBLY_HELP,
     EXIT_ERROR,
     FILE,
-    WORKCELL_HELP,
     examples,
     json_option,
     note,
+    plan_assembly_option,
+    plan_workcell_option,
     print_json,
     require_output,
 )
@@ -39,8 +39,8 @@ WATCH_PERIOD = 0.5  # s
 )
 @click.argument("file", type=FILE)
 @click.option("--html", type=FILE, metavar="FILE", help="Write a page that plays without a server, instead of serving.")
-@click.option("--assembly", type=FILE, help=ASSEMBLY_HELP)
-@click.option("--workcell", metavar="NAME|FILE.toml", help=WORKCELL_HELP)
+@plan_assembly_option
+@plan_workcell_option
 @click.option("--port", type=click.IntRange(1024, 65535), help="Of the local address.  [default: one that is free]")
 @click.option("--open", "open_browser", is_flag=True, help="Also open the page in the default browser.")
 @json_option

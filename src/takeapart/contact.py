@@ -74,10 +74,8 @@ def seats(above: Sequence[OrientedBox], below: Sequence[OrientedBox], touching: 
             continue
         for bottom, top in product(_faces(upper, -1), _faces(lower, 1)):
             area = _clipped(bottom, top[0][:, :2])
-            if len(area):
-                gap = _heights(bottom, area) - _heights(top, area)
-                area, gap = _cut(area, touching - gap, gap)
-                area, _ = _cut(area, touching + gap, gap)
+            for sign in (1.0, -1.0):  # neither further above it nor further within it
+                area = _cut(area, touching - sign * (_heights(bottom, area) - _heights(top, area)))
             found.append(area)
     return np.concatenate(found)
 
@@ -120,27 +118,20 @@ def _clipped(face: Face, other: Array) -> Array:
     area: Array = face[0][:, :2]
     for a, b in zip(other, np.roll(other, -1, axis=0), strict=True):
         inward = np.array([a[1] - b[1], b[0] - a[0]])
-        area, _ = _cut(area, (area - a) @ inward, np.zeros(len(area)))
-        if not len(area):
-            break
+        area = _cut(area, (area - a) @ inward)
     return area
 
 
-def _cut(area: Array, inside: Array, values: Array) -> tuple[Array, Array]:
-    """The part of a convex area (N, 2) where a linear function, given at its corners (N,), is not below 0; and what
-    another linear function is at its corners."""
+def _cut(area: Array, inside: Array) -> Array:
+    """The part of a convex area (N, 2) where a linear function, given at its corners (N,), is not below 0."""
     points: list[Array] = []
-    kept: list[float] = []
     for k in range(len(area)):
         n = (k + 1) % len(area)
         if inside[k] >= 0:
             points.append(area[k])
-            kept.append(values[k])
         if (inside[k] >= 0) != (inside[n] >= 0):
-            share = inside[k] / (inside[k] - inside[n])
-            points.append(area[k] + share * (area[n] - area[k]))
-            kept.append(values[k] + share * (values[n] - values[k]))
-    return np.array(points).reshape(-1, 2), np.array(kept)
+            points.append(area[k] + inside[k] / (inside[k] - inside[n]) * (area[n] - area[k]))
+    return np.array(points).reshape(-1, 2)
 
 
 def beyond_hull(point: Array, corners: Array) -> float:

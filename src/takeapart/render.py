@@ -5,6 +5,7 @@ Needs the extra "view", and OpenGL: without a display, EGL (of the graphics driv
 
 from __future__ import annotations
 
+import functools
 import importlib
 import itertools
 import os
@@ -105,11 +106,10 @@ class Renderer:
         if moment is not None and self.options.path:
             self._draw_path(np.asarray(self.scene.steps[moment.step].tool_path)[:, :3])
         pixels = self._pixels()
-        rows = (
-            sum(pixels[k::SAMPLES] for k in range(1, SAMPLES)) + pixels[::SAMPLES]
-        )  # ten times as fast as a reduction
-        mean = (sum(rows[:, k::SAMPLES] for k in range(1, SAMPLES)) + rows[:, ::SAMPLES]) // SAMPLES**2
-        return np.asarray(mean, dtype=np.uint8)
+        # Sums of every other row and column: ten times as fast as a reduction over axes of two.
+        rows = functools.reduce(np.add, (pixels[k::SAMPLES] for k in range(SAMPLES)))
+        total = functools.reduce(np.add, (rows[:, k::SAMPLES] for k in range(SAMPLES)))
+        return np.asarray(total // SAMPLES**2, dtype=np.uint8)
 
     def _pixels(self) -> NDArray[np.uint16]:
         """The scene in all samples; where shadows are soft, the mean over directions of the light that casts them."""

@@ -17,7 +17,7 @@ from takeapart.files import (
 from takeapart.messages import shown
 from takeapart.plan import Plan
 from takeapart.run import MAXIMUM_BYTES, PLAN, RUN
-from takeapart.sources import assembly_of_hash, source_assembly, source_workcell, workcell_of_hash
+from takeapart.sources import assembly_of_hash, sources_of, workcell_of_hash
 from takeapart.workcell import Workcell
 
 DEFAULT_WORKCELL = "panda"
@@ -66,9 +66,7 @@ def load_subject(path: Path, assembly: Path | None = None, workcell: str | None 
             "holds neither a plan ('takeapart/plan') nor an assembly ('takeapart/assembly')", f"{shown(path)}: format"
         )
     plan = load_plan(path)
-    product = load_assembly(assembly) if assembly else source_assembly(plan, [path.parent], shown(path))
-    cell = load_workcell(workcell) if workcell else source_workcell(plan, [path.parent], shown(path))
-    return Subject(path, product, cell, plan)
+    return Subject(path, *sources_of(plan, path, assembly, workcell), plan)
 
 
 def _run(folder: Path, assembly: Path | None, workcell: str | None) -> Subject:

@@ -49,6 +49,23 @@ def with_sources_moved(plan: Plan, before: PathLike, after: PathLike) -> Plan:
     return with_sources(plan, after, folder / assembly, folder / workcell if _is_file_name(workcell) else workcell)
 
 
+def sources_of(
+    plan: Plan, path: PathLike, assembly: PathLike | None, workcell: PathLike | None
+) -> tuple[Assembly, Workcell]:
+    """Assembly and workcell of a plan file: those that are given, else those that it was made for.
+
+    Args:
+        path: of the plan file, which may lie beside its sources.
+        assembly, workcell: what the user names instead.
+
+    Raises:
+        InputError: as `source_assembly` and `source_workcell`; what is given is broken.
+    """
+    folders, where = [Path(path).parent], shown(path)
+    product = load_assembly(assembly) if assembly else source_assembly(plan, folders, where)
+    return product, load_workcell(workcell) if workcell else source_workcell(plan, folders, where)
+
+
 def source_assembly(plan: Plan, folders: Sequence[PathLike], where: str) -> Assembly:
     """The assembly that a plan was made for, found by its hash.
 

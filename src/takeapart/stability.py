@@ -138,8 +138,7 @@ def _require_balance(assembly: Assembly, i: int) -> None:
 
 def _boxes(assembly: Assembly, name: str) -> list[OrientedBox]:
     """Boxes of a part in the world, without its connectors."""
-    part = assembly.parts[assembly.index[name]]
-    return [box.moved(part.T_world_part) for box in part.shape.boxes()]
+    return assembly.parts[assembly.index[name]].boxes_in_world()
 
 
 def _walls(assembly: Assembly, connector: Connector) -> list[OrientedBox]:

@@ -110,7 +110,7 @@ def check_grasp(
         message = f"opening {1e3 * width:.2f} mm is beyond the gripper's 0 to {1e3 * maximum_opening:.0f} mm"
         findings.append(Finding(k, step.part, 0.0, "width", message, max(width - maximum_opening, -width)))
     T_world_grasp = grasp_pose(step.grasp)
-    boxes = [box.moved(part.T_world_part) for box in part.shape.boxes()]
+    boxes = part.boxes_in_world()
     outside = [_depth_outside(box, T_world_grasp[:3, 3]) for box in boxes]
     box = boxes[int(np.argmin(outside))]
     if min(outside) > options.position_tolerance:
@@ -184,7 +184,7 @@ def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
     bound = 0.0
     for part in assembly.parts:
         if not part.fixed:
-            boxes = [box.moved(part.T_world_part) for box in part.shape.boxes()]
+            boxes = part.boxes_in_world()
             bound += workcell.lift_height + min(_depth_outside(box, before_the_lift) for box in boxes)
     return bound
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linprog, lsq_linear
@@ -17,9 +18,9 @@ from scipy.sparse import coo_array
 
 from takeapart.assembly import Assembly
 from takeapart.geometry import Array, OrientedBox
-from takeapart.verification_report import Finding
+from takeapart.verification_report import Finding, VerificationOptions
 
-TOUCHING = 1e-3 + 1e-5  # m; bodies further apart than this do not touch (and rounding)
+TOUCHING = VerificationOptions.touching + 1e-5  # m; bodies further apart than this do not touch (and rounding)
 SUNK = 1.5e-4  # m; how deep a part may be in what it lies on (bodies of an assembly may overlap by 0.1 mm)
 BALANCED = 1e-4  # m; a weight that lies further outside its support than this tips
 FLOATS = 1.0  # m; price of a missing weight beside that of a moment: a part floats only where nothing is below it
@@ -56,6 +57,7 @@ class Support:
                     self.contacts.append(Contact(int(owners[a]), int(owners[b]), (box, boxes[b])))
         self._judged: dict[int, dict[str, tuple[float, float]]] = {}
 
+    @cached_property
     def broken_connectors(self) -> list[str]:
         """One line for every connector that does not touch its host or its guest, or is a U without a floor."""
         assembly, lines = self.assembly, []
@@ -63,7 +65,7 @@ class Support:
             host, guest = (assembly.parts[assembly.index[name]] for name in (connector.host, connector.guest))
             walls = [wall.moved(host.T_world_part) for wall in connector.walls]
             for role, part in (("host", host), ("guest", guest)):
-                solid = [box.moved(part.T_world_part) for box in part.shape.boxes()]
+                solid = part.boxes_in_world()
                 gap = min(_distance(wall, box) for wall in walls for box in solid)
                 if gap > TOUCHING:
                     lines.append(f"connector {connector.name!r} is {1e3 * gap:.1f} mm from its {role} {part.name!r}")
@@ -154,7 +156,7 @@ def check_support(support: Support, states: Sequence[int], removed: Sequence[str
         states: before the first step, and after each.
         removed: name of the part that each step removes.
     """
-    findings = [Finding(None, "", None, "support", line) for line in support.broken_connectors()]
+    findings = [Finding(None, "", None, "support", line) for line in support.broken_connectors]
     reported: set[str] = set()
     for k, state in enumerate(states):
         step, part = (k - 1, removed[k - 1]) if k else (None, "")
@@ -174,8 +176,7 @@ def _sparse(entries: list[tuple[int, int, float]], shape: tuple[int, int]) -> co
 
 
 def _centre_of_mass(assembly: Assembly, i: int) -> Array:
-    part = assembly.parts[i]
-    boxes = [box.moved(part.T_world_part) for box in part.shape.boxes()]
+    boxes = assembly.parts[i].boxes_in_world()
     return np.average(
         [box.T_frame_box[:3, 3] for box in boxes], axis=0, weights=[box.half_extents.prod() for box in boxes]
     )

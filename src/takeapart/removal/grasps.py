@@ -131,8 +131,8 @@ def volume_bound(part: Part, lift_height: float, goal: Array) -> float:
         goal: (3,) m, in the world.
     """
     nearest = math.inf
-    for box in part.shape.boxes():
-        raised = box.moved(part.T_world_part).T_frame_box.copy()
+    for box in part.boxes_in_world():
+        raised = box.T_frame_box.copy()
         raised[2, 3] += lift_height
         inside = np.clip((goal - raised[:3, 3]) @ raised[:3, :3], -box.half_extents, box.half_extents)
         nearest = min(nearest, float(np.linalg.norm(raised[:3, :3] @ inside + raised[:3, 3] - goal)))

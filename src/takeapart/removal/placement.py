@@ -68,7 +68,7 @@ def _require_limits(workcell: Workcell, robot: RobotModel) -> None:
 def _require_free_parts(assembly: Assembly, workcell: Workcell) -> None:
     for part in assembly.parts:
         for obstacle in () if part.fixed else workcell.environment:
-            depth = max(-_separation(box.moved(part.T_world_part), obstacle.box) for box in part.shape.boxes())
+            depth = max(-_separation(box, obstacle.box) for box in part.boxes_in_world())
             if depth > OVERLAP_TOLERANCE:
                 raise InputError(
                     f"reaches {1e3 * depth:.4g} mm into part {part.name!r} of {assembly.name}; "
@@ -101,7 +101,7 @@ def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel
     around = [(name, box.corners()) for name, box in _permanent(assembly, workcell)]
     for part in assembly.parts:
         if not part.fixed:
-            around += [(f"part {part.name!r}", box.moved(part.T_world_part).corners()) for box in part.shape.boxes()]
+            around += [(f"part {part.name!r}", box.corners()) for box in part.boxes_in_world()]
     meetings = [
         (overlap_depth(corners, others), link, name)
         for link, corners in bodies[1:]  # the base may touch what it stands on
@@ -126,8 +126,8 @@ def _permanent(assembly: Assembly, workcell: Workcell) -> Iterator[tuple[str, Or
         yield f"obstacle {obstacle.name!r}", obstacle.box
     for part in assembly.parts:
         if part.fixed:
-            for box in part.shape.boxes():
-                yield f"fixed part {part.name!r}", box.moved(part.T_world_part)
+            for box in part.boxes_in_world():
+                yield f"fixed part {part.name!r}", box
 
 
 def _separation(first: OrientedBox, second: OrientedBox) -> float:
