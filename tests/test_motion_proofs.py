@@ -1,4 +1,4 @@
-"""What is proved of a motion, against brute force: everything against everything at fine steps, in plain numpy.
+"""What is proved of a motion, against brute force: everything against everything at fine steps.
 
 Most cases are made to be hard: something touches at one end of a motion only, and at its middle, where the kernels
 look, even the balls around the two are apart. A kernel that forgets how far one of them moves calls such a motion free.
@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import trimesh
 from ssik.prebuilt import franka_panda_ik
 
-from brute_force import box_gaps, frames, load_boxes, self_gap, spheres, world_gap
+from brute_force import box_gaps, corners, frames, load_boxes, self_gap, world_gap
 from conftest import boxes_around, random_configurations, random_rotation, scene_of, world_of
 from takeapart.geometry import Array, Box, OrientedBox, pose
 from takeapart.motion.blockers import path_blockers
@@ -67,17 +68,23 @@ class Approach:
 def with_two_bodies(arm: ArmArrays, first: tuple[int, Array], second: tuple[int, Array], radius: float) -> ArmArrays:
     """The arm with a ball as the only body on each of two frames, its middle in the frame's coordinates, m."""
     centers = np.array([np.zeros(3), first[1], second[1]])
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    ball = np.asarray(sphere.vertices) / np.einsum("ij,ij->i", sphere.face_normals, sphere.triangles[:, 0]).min()
+    hulls = [1e-3 * ball, first[1] + radius * ball, second[1] + radius * ball]  # around the balls
+    reach = radius * float(np.linalg.norm(ball, axis=1).max())
     tables = {name: getattr(arm, name)[:0] for name in arm._fields if name.startswith("near_")}
     return arm._replace(
         sphere_center=centers,
         sphere_x=centers[:, 0].copy(),
         sphere_y=centers[:, 1].copy(),
         sphere_z=centers[:, 2].copy(),
-        sphere_radius=np.array([1e-3, radius, radius]),
+        sphere_radius=np.array([2e-3, reach, reach]),
         body_start=np.arange(4, dtype=np.uint64),
+        corner=np.concatenate(hulls),
+        corner_start=np.arange(4) * len(ball),
         body_frame=np.array([0, first[0], second[0]], dtype=np.uint64),
         body_center=centers,
-        body_radius=np.array([1e-3, radius, radius]),
+        body_radius=np.array([2e-3, reach, reach]),
         self_pairs=np.array([[1, 2]], dtype=np.int32),
         held_bodies=np.zeros(0, dtype=np.int32),
         **tables,
@@ -234,7 +241,7 @@ class Contact:
 
 
 def contacts(robot: RobotModel, held: HeldArrays, count: int, seed: int) -> tuple[list[Contact], list[OrientedBox]]:
-    """Boxes of 6 mm in the way of a sphere of the arm, or of an end of the load; nothing is near in mid-motion."""
+    """Boxes of 6 mm in the way of a corner of the arm, or of an end of the load; nothing is near in mid-motion."""
     arm, rng = robot.arm, np.random.default_rng(seed)
     found: list[Contact] = []
     boxes: list[OrientedBox] = []
@@ -246,9 +253,9 @@ def contacts(robot: RobotModel, held: HeldArrays, count: int, seed: int) -> tupl
         poses = frames(arm, both)
         if rng.random() < 0.5:
             body = int(rng.integers(3, len(arm.body_frame)))
-            points, radii = spheres(arm, poses, body)
-            s = int(rng.integers(len(radii)))
-            moved, touched, reach = points[0, s] - points[1, s], points[0, s], float(radii[s])
+            points = corners(arm, poses, body)
+            s = int(rng.integers(points.shape[1]))
+            moved, touched, reach = points[0, s] - points[1, s], points[0, s], 0.0
         else:
             T, half = load_boxes(held, poses, int(held.group[1]))
             corner = np.array([rng.choice([-1, 1]) * half[0, 0], 0.0, 0.0])
@@ -451,15 +458,15 @@ def test_an_elbow_that_swings_into_a_wall_while_the_tool_stands_still_is_seen(ro
         a = READY + rng.normal(size=n) * 0.3
         T = frames(robot.arm, np.vstack([a, a + h * np.eye(n)]))
         still = np.linalg.svd(((T[1:, -1, :3] - T[0, -1, :3]) / h).reshape(n, 12).T)[2][-1]  # moves the tool least
-        centers, radii = spheres(robot.arm, T, 4)
-        velocity = (centers[1:, 0] - centers[0, 0]).T @ still / h
+        elbow = corners(robot.arm, T, 4)
+        velocity = (elbow[1:, 0] - elbow[0, 0]).T @ still / h
         speed = np.linalg.norm(velocity)
         along, b = velocity / speed, a + still * 0.006 / speed
-        at_end = spheres(robot.arm, frames(robot.arm, b[None]), 4)[0][0]
-        s = int((at_end @ along + radii).argmax())
+        at_end = corners(robot.arm, frames(robot.arm, b[None]), 4)[0]
+        s = int((at_end @ along).argmax())
         wall = np.eye(4)
         wall[:3, :3] = np.linalg.qr(np.column_stack([along, rng.normal(size=(3, 2))])).Q
-        wall[:3, 3] = at_end[s] + (radii[s] + 0.004) * along  # 1 mm of the elbow is in it at the end
+        wall[:3, 3] = at_end[s] + 0.004 * along  # 1 mm of the elbow is in it at the end
         box = OrientedBox(wall, np.array([0.005, 0.01, 0.01]))
         gaps = world_gap(robot.arm, held, [box], np.array([(a + b) / 2, b]))[:, 0]
         scene = scene_of(robot, held, world_of(robot, [(box, 0)]), 1, 1, PADDING, STEP)

@@ -207,7 +207,7 @@ def test_separation_of_boxes_is_that_of_the_formula() -> None:
     for _ in range(300):
         shift = rng.normal(size=3) * 0.15
         gap = np.maximum(np.abs(shift) - 0.1, 0.0)
-        found = separation(corners, corners, np.eye(3), shift, np.inf, scratch)
+        found = separation(corners, corners, np.eye(3), shift, 0.0, np.inf, scratch)
         assert found <= np.linalg.norm(gap) + 1e-12
         assert found == pytest.approx(float(np.linalg.norm(gap)), abs=2e-6)
 
@@ -222,7 +222,7 @@ def test_a_table_over_two_joints_proves_less_than_the_distance_at_every_angle() 
     rng, scratch, worst = np.random.default_rng(8), np.zeros((5, 3)), 0.0
     for angles in rng.uniform(lower, upper, size=(2000, 2)):
         T = relative_pose(chain, 0, 2, angles)
-        true = separation(corners, second.corners, T[:3, :3].copy(), T[:3, 3].copy(), np.inf, scratch)
+        true = separation(corners, second.corners, T[:3, :3].copy(), T[:3, 3].copy(), 0.0, np.inf, scratch)
         node = np.round((angles - table.lower) / table.step).astype(int)
         off = np.abs(angles - table.lower - node * table.step)
         proved = float(table.distances[tuple(node)]) * TABLE_UNIT - float(table.reach @ off)

@@ -85,7 +85,7 @@ def units(orders: bool) -> dict[str, Unit]:
         (edges.tool_edge, (situation, one, one, 0.0, two)),
     ]
     called = [
-        (separation.separation, (two, two, two, one, 0.0, two)),
+        (separation.separation, (two, two, two, one, 0.0, 0.0, two)),
         (self_collision._fill, (two, two, three, one, one, np.zeros((1, 1), np.uint16))),
         (hand.hand_masks, (arm, held, world, flags, 0.0, 0.0, 0.0, three, three, one, 0.0, held, work, table, table)),
         (blockers.path_blockers, (situation, two, flags)),

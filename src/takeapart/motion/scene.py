@@ -89,7 +89,7 @@ def set_piece(scene: Scene, a: Floats, b: Floats, first: float, last: float) -> 
     return set_motion(scene.arm, scene.held, a, b, 0.5 * (last - first), scene.work)
 
 
-@compiled_lean
+@compiled_apart
 def look_at(scene: Scene, a: Floats, b: Floats, first: float, last: float) -> int:
     """One look at the middle of a piece: the whole piece is free, or only its middle is, or not even that."""
     moved = set_piece(scene, a, b, first, last)

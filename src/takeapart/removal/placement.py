@@ -110,7 +110,7 @@ def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel
     meetings += [
         (overlap_depth(links[pair.first], links[pair.second]), robot.bodies[pair.first], robot.bodies[pair.second])
         for pair in robot.pairs
-        if pair.treatment in ("table", "spheres")
+        if pair.treatment in ("table", "hulls")
     ]
     depth, first, second = max(meetings, default=(0.0, "", ""))
     if depth > OVERLAP_TOLERANCE:

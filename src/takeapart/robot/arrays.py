@@ -21,6 +21,7 @@ RandomState = NDArray[np.uint64]  # (1,) state of a random generator
 
 
 FIELD_STEP = 0.002  # m, unit of the clearance field
+CLEARED = 8  # boxes that are remembered
 TABLE_UNIT = 1e-5  # m, unit of the tables of distances between near bodies
 
 
@@ -38,6 +39,8 @@ class ArmArrays(NamedTuple):
     sphere_z: Floats  # (S,)
     sphere_radius: Floats  # (S,) m
     body_start: Counters  # (B + 1,) spheres of body b are body_start[b] .. body_start[b + 1]
+    corner: Floats  # (V, 3) m, of the bodies' convex hulls, in the frame of the link that carries them
+    corner_start: Indices  # (B + 1,) corners of body b are corner_start[b] .. corner_start[b + 1]
     body_frame: Counters  # (B,) joint frame that the body moves with; 0 is the base
     body_center: Floats  # (B, 3) m, a ball around the whole body
     body_radius: Floats  # (B,) m
@@ -111,6 +114,9 @@ class Workspace(NamedTuple):
     group_axes: Floats  # (2, 3, 3) their axes, where something came near them
     box_center: Floats  # (H, 3) held boxes in the world, where something came near them
     box_axes: Floats  # (H, 3, 3)
+    box: Floats  # (4, 3) a box, or a pose, in the frame of a body
+    simplex: Floats  # (5, 3) see `separation`
+    cleared: Integers  # (CLEARED,) boxes of the world that a body does not meet though one of its spheres does
 
 
 def workspace(arm: ArmArrays, boxes: int) -> Workspace:
@@ -138,4 +144,7 @@ def workspace(arm: ArmArrays, boxes: int) -> Workspace:
         np.zeros((2, 3, 3)),
         np.zeros((boxes, 3)),
         np.zeros((boxes, 3, 3)),
+        np.zeros((4, 3)),
+        np.zeros((5, 3)),
+        np.zeros(CLEARED, np.int32),
     )

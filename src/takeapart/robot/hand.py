@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from takeapart.compilation import compiled_lean
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
-from takeapart.robot.grid import ball_meets_box, boxes_meet, mark_line
+from takeapart.robot.grid import boxes_meet, mark_line
 from takeapart.robot.kernels import body_hits_world, held_hits_world
-from takeapart.robot.kinematics import place_bodies, place_groups, place_held, place_spheres, set_still
+from takeapart.robot.kinematics import place_bodies, place_groups, place_held, set_still
+from takeapart.robot.separation import body_meets_box
 
 
 @compiled_lean
@@ -57,12 +58,9 @@ def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Works
     n = len(arm.lower)
     for b in range(len(arm.body_frame)):
         if arm.body_frame[b] == n:
-            place_spheres(arm, work, b)
-            for s in range(arm.body_start[b], arm.body_start[b + 1]):
-                x, y, z, r = work.x[s], work.y[s], work.z[s], arm.sphere_radius[s] + padding
-                for h in range(held.group[1], held.group[2]):
-                    if ball_meets_box(x, y, z, r, work.box_center, work.box_axes, held.half, h):
-                        return True
+            for h in range(held.group[1], held.group[2]):
+                if body_meets_box(arm, b, work.box_center, work.box_axes, held.half, h, padding, work):
+                    return True
     for f in range(held.group[0], held.group[1]):
         for h in range(held.first_wall, held.group[2]):
             if boxes_meet(

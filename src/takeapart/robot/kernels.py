@@ -7,8 +7,19 @@ what is free stays free all along the piece. Nothing here allocates, and the int
 
 from __future__ import annotations
 
-from takeapart.compilation import compiled_lean
-from takeapart.robot.arrays import FIELD_STEP, TABLE_UNIT, ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
+from takeapart.compilation import compiled_apart, compiled_lean
+from takeapart.robot.arrays import (
+    CLEARED,
+    FIELD_STEP,
+    TABLE_UNIT,
+    ArmArrays,
+    Flags,
+    Floats,
+    HeldArrays,
+    Integers,
+    Workspace,
+    WorldArrays,
+)
 from takeapart.robot.grid import ball_meets_box, boxes_meet, cell_of, is_far, row_for
 from takeapart.robot.kinematics import (
     motion_of_ball,
@@ -18,6 +29,7 @@ from takeapart.robot.kinematics import (
     place_spheres,
     set_still,
 )
+from takeapart.robot.separation import bodies_meet, body_meets_box
 
 FREE, HIT_WORLD, HIT_SELF = 0, 1, 2
 LARGEST_MARGIN = 0.05  # m; what moves further in one piece of motion counts as touching
@@ -118,6 +130,7 @@ def body_hits_world(
     if is_far(world, work.body, b, arm.body_radius[b] + padding):
         return False
     found = False
+    cleared = 0
     place_spheres(arm, work, b)
     for s in range(arm.body_start[b], arm.body_start[b + 1]):
         x, y, z = work.x[s], work.y[s], work.z[s]
@@ -131,11 +144,26 @@ def body_hits_world(
             owner = world.owner[w]
             if not present[owner] or (collect and hits[owner]):
                 continue
-            if ball_meets_box(x, y, z, r, world.center, world.axes, world.half, w):
-                if not collect:
-                    return True
-                hits[owner] = 1
-                found = True
+            if not ball_meets_box(x, y, z, r, world.center, world.axes, world.half, w):
+                continue
+            if _is_among(work.cleared, cleared, w):
+                continue
+            if not body_meets_box(arm, b, world.center, world.axes, world.half, w, padding, work):
+                work.cleared[cleared % CLEARED] = w
+                cleared += 1
+                continue
+            if not collect:
+                return True
+            hits[owner] = 1
+            found = True
+    return found
+
+
+@compiled_lean
+def _is_among(boxes: Integers, count: int, w: int) -> bool:
+    found = False
+    for k in range(min(count, CLEARED)):
+        found |= boxes[k] == w
     return found
 
 
@@ -216,25 +244,33 @@ def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspac
             dx, dy, dz, limit = x[t] - cx, y[t] - cy, z[t] - cz, r + radius[t]
             touching |= dx * dx + dy * dy + dz * dz <= limit * limit
         if touching:
-            return True
+            return bodies_meet(arm, a, b, padding, work)
     return False
 
 
 @compiled_lean
 def _body_meets_group(arm: ArmArrays, held: HeldArrays, b: int, g: int, padding: float, work: Workspace) -> bool:
     place_spheres(arm, work, b)
-    for s in range(arm.body_start[b], arm.body_start[b + 1]):
-        x, y, z, r = work.x[s], work.y[s], work.z[s], arm.sphere_radius[s] + padding
-        if not ball_meets_box(x, y, z, r, work.group, work.group_axes, held.group_half, g):
-            continue
-        for h in range(held.group[g], held.group[g + 1]):
-            place_box(held, work, h)
-            if ball_meets_box(x, y, z, r, work.box_center, work.box_axes, held.half, h):
-                return True
+    for h in range(held.group[g], held.group[g + 1]):
+        place_box(held, work, h)
+        if _spheres_meet_box(arm, b, work.box_center, work.box_axes, held.half, h, padding, work) and body_meets_box(
+            arm, b, work.box_center, work.box_axes, held.half, h, padding, work
+        ):
+            return True
     return False
 
 
 @compiled_lean
+def _spheres_meet_box(
+    arm: ArmArrays, b: int, center: Floats, axes: Floats, half: Floats, w: int, padding: float, work: Workspace
+) -> bool:
+    for s in range(arm.body_start[b], arm.body_start[b + 1]):
+        if ball_meets_box(work.x[s], work.y[s], work.z[s], arm.sphere_radius[s] + padding, center, axes, half, w):
+            return True
+    return False
+
+
+@compiled_apart
 def placed(
     arm: ArmArrays, held: HeldArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace
 ) -> int:
@@ -279,7 +315,7 @@ def collect(
     return collect_placed(arm, held, world, present, padding, work, hits)
 
 
-@compiled_lean
+@compiled_apart
 def collect_placed(
     arm: ArmArrays,
     held: HeldArrays,

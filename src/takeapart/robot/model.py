@@ -210,11 +210,13 @@ def load_robot(workcell: Workcell) -> RobotModel:
         sphere_z=spheres[:, 2].copy(),
         sphere_radius=radii,
         body_start=np.cumsum([0, *[len(c) for c in centers]]).astype(np.uint64),
+        corner=np.ascontiguousarray(np.concatenate([hull.corners for hull in hulls])),
+        corner_start=np.cumsum([0, *[len(hull.corners) for hull in hulls]], dtype=np.int64),
         body_frame=np.array(frames, dtype=np.uint64),
         body_center=np.array([center for center, _ in balls]),
         body_radius=np.array([radius for _, radius in balls]),
         self_pairs=np.array(
-            [(pair.first, pair.second) for pair in pairs if pair.treatment == "spheres"], dtype=np.int32
+            [(pair.first, pair.second) for pair in pairs if pair.treatment == "hulls"], dtype=np.int32
         ).reshape(-1, 2),
         near_joints=np.array([table.joints for table in tables], dtype=np.int32).reshape(-1, 2),
         near_lower=np.array([table.lower for table in tables]).reshape(-1, 2),

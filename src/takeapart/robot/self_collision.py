@@ -8,7 +8,7 @@ are left out, and pairs that touch in every configuration. For all others there 
   turns by an angle, no point of either body moves relative to the other by more than the angle times its distance from
   the joint's axis.
 - Where that table proves that two bodies never come near each other inside the joint limits, no check is needed.
-- All other pairs are checked by their spheres.
+- All other pairs are checked by their spheres and, where these meet, by the hulls.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from takeapart.robot.separation import separation
 NODE = 0.005  # rad, between the nodes of a table
 COARSE = 8  # nodes between those that are looked at first
 NEAR = 0.05  # m; where two bodies are further apart than this, the coarse nodes tell enough
+FAR = 0.3  # m; the tables tell no greater distances
 NEVER = 0.03  # m; pairs that never come nearer than this need no check: no workcell asks for more than 20 mm
 SAMPLES = 200  # configurations in which a pair must touch to count as one that always does
 
-Treatment = Literal["neighbours", "always touch", "never meet", "table", "spheres"]
+Treatment = Literal["neighbours", "always touch", "never meet", "table", "hulls"]
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def body_pairs(
                     pairs.append(BodyPair(a, b, "table", max(least, 0.0)))
                     tables.append(table)
             else:
-                pairs.append(BodyPair(a, b, "spheres"))
+                pairs.append(BodyPair(a, b, "hulls"))
     return tuple(pairs), tuple(tables)
 
 
@@ -138,7 +139,7 @@ def _always_touch(
     for _ in range(SAMPLES):
         T = relative_pose(T_joint, first.frame, second.frame, rng.uniform(lower[joints], upper[joints]))
         R, p = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
-        if separation(first.corners, second.corners, R, p, 0.0, scratch) > 0.0:
+        if separation(first.corners, second.corners, R, p, 0.0, 0.0, scratch) > 0.0:
             return False
     return True
 
@@ -238,7 +239,7 @@ def _fill(first: Floats, second: Floats, chain: Floats, lower: Floats, reach: Fl
                         distances[a, b] = np.uint16(min(proved / TABLE_UNIT, 65535.0))
                         continue
                 _relative(chain, lower, a * NODE, b * NODE, R, p)
-                found = separation(first, second, R, p, 0.3, scratch)
+                found = separation(first, second, R, p, 0.0, FAR, scratch)
                 distances[a, b] = np.uint16(max(0.0, min(found / TABLE_UNIT, 65535.0)))
 
 
