@@ -1,4 +1,4 @@
-"""The arm as the planner knows it: a serial chain read from URDF, covered by spheres."""
+"""The arm as the planner knows it: a serial chain read from URDF, links as convex hulls with spheres around them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RobotModel:
         arm: arrays for the kernels.
         fingers: (finger link, box in the hand's frame at opening 0, direction (3,) in which it opens).
         T_flange_tool: (4, 4).
-        inflation: per covered link, how far its spheres reach beyond its mesh, m.
+        inflation: per covered link, how far its spheres reach beyond its hull, m.
         bodies: names of the covered links, in the order of the arrays.
         pairs: how each pair of them is checked for meeting the other.
         hulls: the covered links as convex bodies.
