@@ -116,34 +116,34 @@ def test_a_part_beyond_the_payload_is_refused_with_both_weights(removable: str, 
     assert isinstance(made, Infeasible)
     refused = {hindrance.part: hindrance for hindrance in made.hindrances}[removable]
     assert refused.stage == "grasp"
-    assert str(refused).startswith(f"{removable}: cannot be grasped: weighs 25 kg; the payload is 3 kg (stage grasp")
+    assert str(refused) == f"{removable}: weighs 25 kg, 22 kg more than the payload of 3 kg (stage grasp)"
 
 
 @pytest.mark.parametrize(
-    ("mass", "changes", "message"),
+    ("mass", "changes", "cause"),
     [
-        (2.99, {}, ""),
-        (3.0, {}, ""),
-        (3.01, {}, "weighs 3.01 kg; the payload is 3 kg"),
-        (1.0, {"gripping_force": 9.9}, ""),  # 2 * 0.5 * 9.9 N = 9.9 N hold 9.81 N
-        (1.0, {"gripping_force": 9.7}, "weighs 1 kg; fingers that press with 9.7 N hold 0.989 kg by friction"),
-        (1.0, {"friction": 0.01}, "weighs 1 kg; fingers that press with 70 N hold 0.143 kg by friction"),
+        (2.99, {}, None),
+        (3.0, {}, None),
+        (3.01, {}, "weight"),
+        (1.0, {"gripping_force": 9.9}, None),  # 2 * 0.5 * 9.9 N = 9.9 N hold 9.81 N
+        (1.0, {"gripping_force": 9.7}, "slip"),
+        (1.0, {"friction": 0.01}, "slip"),
     ],
 )
 def test_weight_against_payload_and_friction(
-    workcell: Workcell, mass: float, changes: dict[str, float], message: str
+    workcell: Workcell, mass: float, changes: dict[str, float], cause: str | None
 ) -> None:
     part, cell = Part("bar", Box((0.2, 0.02, 0.02)), pose(), mass), replace(workcell, **changes)  # type: ignore[arg-type]
-    assert ungraspable(part, cell) == message
+    assert ungraspable(part, cell) == cause
     judged = check_payload(scene_plan().steps[0], 0, part, cell)
-    assert bool(judged) == bool(message)
+    assert bool(judged) == (cause is not None)
     assert all(finding.check == "payload" for finding in judged)
 
 
-def test_a_part_wider_than_the_fingers_open_is_refused_with_its_sizes(workcell: Workcell) -> None:
+def test_a_part_wider_than_the_fingers_open_is_refused(workcell: Workcell) -> None:
     part = Part("block", Box((0.3, 0.081, 0.09)), pose(), 1.0)
-    assert ungraspable(part, workcell) == "is 81 mm by 90 mm wide; the fingers open 80 mm"
-    assert ungraspable(replace(part, shape=Box((0.3, 0.079, 0.09))), workcell) == ""
+    assert ungraspable(part, workcell) == "width"
+    assert ungraspable(replace(part, shape=Box((0.3, 0.079, 0.09))), workcell) is None
 
 
 def test_the_planner_refuses_a_home_beyond_the_limits(workcell: Workcell) -> None:

@@ -356,8 +356,8 @@ def test_no_feasible_order(folder: Path) -> None:
     result = plan("deadlock.json", "--out", "old.json")
     assert result.exit_code == 3
     assert result.stderr.count("\n") == 1
-    assert "stub: cannot be lifted (stage lift, blocked by beam)" in result.stderr
-    assert "beam: others would fall (stage stability, blocked by stub)" in result.stderr
+    assert "stub: only straight up is tried: lifted by 50 mm it hits beam after 1.1 mm (stage lift)" in result.stderr
+    assert "beam: without it stub would fall (stage stability)" in result.stderr
     assert result.stdout == ""
     assert snapshot(folder) == before
 
@@ -367,15 +367,18 @@ def test_no_feasible_order_for_machines(folder: Path) -> None:
     document = json.loads(result.stdout)
     assert result.exit_code == 3
     assert (document["feasible"], document["proved"]) == (False, True)
-    assert {"part": "stub", "stage": "lift", "blamed": ["beam"]} in document["hindrances"]
+    stub = {each["part"]: each for each in document["hindrances"]}["stub"]
+    assert (stub["stage"], stub["cause"], stub["blamed"]) == ("lift", "lift", ["beam"])
+    assert stub["numbers"] == {"lift_height": 0.05}
+    assert stub["hits"] == {"beam": pytest.approx(0.0011, abs=2e-5)}
 
 
 def test_a_goal_out_of_reach(folder: Path) -> None:
     edited(folder / "cell.toml", "goal = [-0.05, -0.30, 0.42]", "goal = [3.0, 0.0, 0.42]")
     before = snapshot(folder)
     result = plan("two-bars.json", "--out", "old.json")
-    assert result.exit_code == 3
-    assert re.search(r"stub: .*\(stage (ik|path)", result.stderr)
+    assert result.exit_code == 2
+    assert re.search(r"goal: \(3, 0, 0.42\) m is out of reach: 3.45\d m from .* reaches 0.94\d m$", result.stderr)
     assert result.stderr.count("\n") == 1
     assert snapshot(folder) == before
 
@@ -476,7 +479,16 @@ def explained(*arguments: str) -> dict[str, dict[str, Any]]:
 def test_explain_names_what_blocks(folder: Path) -> None:
     now = explained()
     assert now["stub"]["removable"] and now["rear"]["removable"]
-    assert now["beam"] == {"part": "beam", "removable": False, "stage": "stability", "blamed": ["stub", "rear"]}
+    assert now["beam"] == {
+        "part": "beam",
+        "removable": False,
+        "stage": "stability",
+        "cause": "gravity",
+        "text": "without it stub and rear would fall",
+        "numbers": {},
+        "hits": {},
+        "blamed": ["stub", "rear"],
+    }
     later = explained("--without", "stub", "--without", "rear")
     assert list(later) == ["beam"]
     assert later["beam"]["removable"]
@@ -486,7 +498,7 @@ def test_explain_names_what_blocks(folder: Path) -> None:
 def test_explain_for_people(folder: Path) -> None:
     result = run("explain", "deadlock.json", "--workcell", "cell.toml")
     assert result.exit_code == 0
-    assert re.search(r"stub +no +lift +beam\n", result.stdout)
+    assert re.search(r"stub +no +lift +only straight up is tried: lifted by 50 mm it", result.stdout)
     assert "0 of 2 parts can leave now" in result.stdout
 
 

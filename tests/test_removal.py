@@ -450,13 +450,6 @@ def test_blocked_out_of_reach(robot: RobotModel, workcell: Workcell) -> None:
     assert answer == Blocked(0, "ik", 0)
 
 
-def test_blocked_where_the_goal_is_out_of_reach(robot: RobotModel, workcell: Workcell) -> None:
-    answer, _ = plan_in(robot, workcell, [FREE_BAR], goal=np.array([-3.0, 0.0, 0.3]))
-    assert isinstance(answer, Blocked)
-    assert answer.stage in ("ik", "path")  # the part can be gripped, but never be brought to the goal
-    assert answer.blamed == 0
-
-
 def test_blocked_where_the_goal_is_taken(robot: RobotModel, workcell: Workcell) -> None:
     """A block stands where the tool must end: the part can be gripped and lifted, but not brought there."""
     x, y, z = workcell.goal

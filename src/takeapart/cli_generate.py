@@ -188,7 +188,7 @@ def _order_finder(workcell: Workcell, robot: RobotModel, seed: int, started: Cal
     """Feasible orders by the removal planner: a random order; its first dead end proves that there is none."""
     import numpy as np
 
-    from takeapart.planning import infeasible_of
+    from takeapart.planning import blocked_parts
     from takeapart.problem import AssemblyProblem
     from takeapart.removal.planner import RemovalPlanner
     from takeapart.removal.result import STAGES
@@ -204,7 +204,7 @@ def _order_finder(workcell: Workcell, robot: RobotModel, seed: int, started: Cal
             raise KeyboardInterrupt
         if result.removals:
             return tuple(assembly.parts[removal.part].name for removal in result.removals)
-        stages = [hindrance.stage for hindrance in infeasible_of(problem, result).hindrances]
+        stages = [blocked.stage for dead_end in result.refusals[:1] for blocked in blocked_parts(problem, *dead_end)]
         return f"no feasible order, stage {max(stages, key=STAGES.index)}" if stages else "no feasible order"
 
     return find

@@ -22,7 +22,7 @@ from takeapart.cli_output import (
     seed_option,
     workcell_option,
 )
-from takeapart.cli_plan_output import NOT_VERIFIED, plan_summary, print_plan
+from takeapart.cli_plan_output import NOT_VERIFIED, hindrance_document, plan_summary, print_plan
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.messages import shown
 
@@ -200,7 +200,7 @@ def explain(assembly: Path, workcell: str, without: tuple[str, ...], attempts: i
 
     A removal is planned in stages: stability (nothing else may fall), lift (5 cm straight up), grasp (free of
     collisions), ik (in reach), path (to the goal). A part that cannot leave is listed with the stage at which its
-    removal ended and the parts that block it. No such parts: fixed parts, obstacles or the arm's reach do.
+    removal ended and the reason: what is in the way, fixed parts and obstacles too, and by how much.
     """
     from takeapart.files import load_assembly, load_workcell
     from takeapart.planning import PlanningOptions, build_problem
@@ -235,21 +235,18 @@ def explain(assembly: Path, workcell: str, without: tuple[str, ...], attempts: i
         print_json({"assembly": product.name, "parts": [_part_document(name, lengths, hindrances) for name in names]})
         return
     rows = [_part_row(name, lengths, hindrances) for name in names]
-    print_table(
-        f"{product.name}: {len(names)} parts", ["part", "can leave", ">gripper path", "stage", "blocked by"], rows
-    )
+    print_table(f"{product.name}: {len(names)} parts", ["part", "can leave", ">gripper path", "stage", "why not"], rows)
     click.echo(f"\n{len(lengths)} of {len(names)} parts can leave now")
 
 
 def _part_document(name: str, lengths: dict[str, float], hindrances: dict[str, Hindrance]) -> dict[str, object]:
     if name in lengths:
         return {"part": name, "removable": True, "length": lengths[name]}
-    hindrance = hindrances[name]
-    return {"part": name, "removable": False, "stage": hindrance.stage, "blamed": list(hindrance.blamed)}
+    return {"part": name, "removable": False, **hindrance_document(hindrances[name])}
 
 
 def _part_row(name: str, lengths: dict[str, float], hindrances: dict[str, Hindrance]) -> list[str]:
     if name in lengths:
         return [name, "yes", metres(lengths[name]), "", ""]
-    hindrance = hindrances[name]
-    return [name, "no", "", hindrance.stage, ", ".join(hindrance.blamed) or "fixed parts, obstacles or reach"]
+    reason = hindrances[name].reason
+    return [name, "no", "", reason.stage, reason.text]

@@ -164,8 +164,8 @@ def plan(
     """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
 
     Writes a plan file and prints the order with the length of the gripper's path for each part. Ctrl-C ends the search
-    and keeps the best plan so far. Where no order is feasible, the parts that are stuck are named, with the stage at
-    which planning their removal ended and the parts that block them (exit code 3); nothing is written then.
+    and keeps the best plan so far. Where no order is feasible, the parts that are stuck are named, with the reason and
+    the stage at which planning their removal ended (exit code 3); nothing is written then.
     """
     from takeapart.files import load_assembly, load_workcell
     from takeapart.plan import Plan

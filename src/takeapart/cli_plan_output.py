@@ -12,7 +12,7 @@ from takeapart.cli_output import EXIT_INFEASIBLE, EXIT_INTERRUPTED, metres, note
 
 if TYPE_CHECKING:
     from takeapart.plan import Plan
-    from takeapart.planning import Infeasible
+    from takeapart.planning import Hindrance, Infeasible
 
 
 NOT_VERIFIED = f"all numbers are {STATED}; takeapart verify checks what it can and lists the rest"
@@ -40,7 +40,21 @@ def _infeasible_document(made: Infeasible, interrupted: bool) -> dict[str, objec
         "interrupted": interrupted,
         "proved": made.proved,
         "remaining": list(made.remaining),
-        "hindrances": [{"part": h.part, "stage": h.stage, "blamed": list(h.blamed)} for h in made.hindrances],
+        "hindrances": [hindrance_document(hindrance) for hindrance in made.hindrances],
+    }
+
+
+def hindrance_document(hindrance: Hindrance) -> dict[str, object]:
+    """Why a part cannot leave, for machines."""
+    reason = hindrance.reason
+    return {
+        "part": hindrance.part,
+        "stage": reason.stage,
+        "cause": reason.cause,
+        "text": reason.text,
+        "numbers": dict(reason.numbers),
+        "hits": dict(reason.hits),
+        "blamed": list(reason.blamed),
     }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from takeapart.assembly import Assembly, members
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import QueryJournal, RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
+from takeapart.removal.reasons import Reasons
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
 from takeapart.stability import Stability
 
@@ -85,7 +87,7 @@ class AssemblyProblem:
         movable = members(self.root)
         self.hindered_by = [0] * len(assembly.parts)
         for part in movable:
-            lift = planner.lift_blockers[part]
+            lift = planner.lift_blockers[part] if planner.is_graspable(part) else None
             self.hindered_by[part] = (self.root if lift is None else lift) | stability.dependents(part, self.root)
         bounds = [planner.candidate_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
         self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
@@ -93,13 +95,18 @@ class AssemblyProblem:
         self._effort: dict[tuple[int, int], int] = {}
         self._lock = threading.Lock()
 
+    @cached_property
+    def reasons(self) -> Reasons:
+        """Explains refusals; what it needs is made at the first question."""
+        return Reasons(self.planner)
+
     @property
     def assembly(self) -> Assembly:
         """The product."""
         return self.planner.assembly
 
     def candidates(self, state: int) -> list[int]:
-        """Parts that gravity and lifting let go in this state, ascending."""
+        """Parts that gravity, lifting and the gripper's limits let go in this state, ascending."""
         return [part for part in members(state) if not self.hindered_by[part] & state]
 
     def static_lower(self, part: int) -> float:
@@ -115,7 +122,9 @@ class AssemblyProblem:
         return self.edge_bounds.lower(state, part)
 
     def hindrance(self, state: int, part: int) -> Blocked | None:
-        """Why gravity or lifting keep a part in a state; None if they do not."""
+        """Why gravity or lifting keep a part in a state, or no gripper of this cell ever takes it; None if neither."""
+        if not self.planner.is_graspable(part):
+            return Blocked(part, "grasp", 0)
         fallen = self.stability.dependents(part, state)
         if fallen:
             return Blocked(part, "stability", fallen)

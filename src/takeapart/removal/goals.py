@@ -9,7 +9,7 @@ masks.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -92,11 +92,21 @@ class GoalConfigurations:
         self._blockers: dict[Hand, dict[int, int]] = {}
         self._lock = threading.Lock()
 
+    def solutions(self) -> Iterator[Array]:
+        """Configurations (n,), rad, that put the tool at the goal, whatever they hit."""
+        for quaternion in super_fibonacci(ORIENTATIONS):
+            for q in self._ik.solve(pose(self._goal, quaternion)):
+                yield np.ascontiguousarray(q)
+
+    def is_reached(self, work: Workspace) -> bool:
+        """Whether there is any free configuration; looks no further than the first."""
+        return next(self._solve(work), None) is not None
+
     def all(self, work: Workspace) -> Array:
-        """(G, n) rad; G is 0 where the goal is out of reach."""
+        """(G, n) rad."""
         with self._lock:
             if self._found is None:
-                self._found = self._solve(work)
+                self._found = np.array(list(self._solve(work))).reshape(-1, self._robot.joints)
             return self._found
 
     def neighbours(self, branches: tuple[LiftBranch, ...], work: Workspace) -> Neighbours:
@@ -154,16 +164,12 @@ class GoalConfigurations:
         hits[:, -1] |= folded
         return owners_of(hits)
 
-    def _solve(self, work: Workspace) -> Array:
+    def _solve(self, work: Workspace) -> Iterator[Array]:
         held = self._robot.held(0.0)
         present = flags_of(0, self._parts)
-        found = []
-        for quaternion in super_fibonacci(ORIENTATIONS):
-            for q in self._ik.solve(pose(self._goal, quaternion)):
-                q = np.ascontiguousarray(q)
-                if check(self._robot.arm, held, self._world, present, self._padding, q, work) == FREE:
-                    found.append(q)
-        return np.array(found).reshape(-1, self._robot.joints)
+        for q in self.solutions():
+            if check(self._robot.arm, held, self._world, present, self._padding, q, work) == FREE:
+                yield q
 
 
 def super_fibonacci(count: int) -> Array:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cmp_to_key
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,7 @@ SPACING = 0.02  # m, between grasps along the part
 END_MARGIN = 0.03  # m, from the part's ends
 SAME_EDGE = 1e-6  # m; a part shorter by less has as many grasps: lengths in 32-bit floats are off by up to 6e-8
 
+Unholdable = Literal["weight", "slip", "width"]
 _SignedAxis = tuple[int, int]  # number of a box's axis, and 1 or -1: the way along it
 
 
@@ -89,20 +91,14 @@ def _first_difference(difference: Array) -> int:
     return next((1 if value > 0 else -1 for value in difference if abs(value) > SAME_EDGE), 1)
 
 
-def ungraspable(part: Part, workcell: Workcell) -> str:
-    """Why the gripper cannot hold a part, whatever stands around it; empty where it can."""
+def ungraspable(part: Part, workcell: Workcell) -> Unholdable | None:
+    """What keeps the gripper from holding a part, whatever stands around it: more weight than the payload, or than
+    friction holds, or more width than the fingers open; None if nothing does."""
     if part.mass > workcell.payload:
-        return f"weighs {part.mass:.4g} kg; the payload is {workcell.payload:.4g} kg"
+        return "weight"
     if part.mass > workcell.grip:
-        return (
-            f"weighs {part.mass:.4g} kg; fingers that press with {workcell.gripping_force:.4g} N hold "
-            f"{workcell.grip:.3g} kg by friction"
-        )
-    opening = workcell.description.maximum_opening
-    if not grasp_candidates(part, opening):
-        widths = sorted(2e3 * part.shape.bounding_box().half_extents)[:2]
-        return f"is {widths[0]:.4g} mm by {widths[1]:.4g} mm wide; the fingers open {1e3 * opening:.4g} mm"
-    return ""
+        return "slip"
+    return None if grasp_candidates(part, workcell.description.maximum_opening) else "width"
 
 
 @cache

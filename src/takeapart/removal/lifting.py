@@ -8,6 +8,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array, OrientedBox, box_separation
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
+HEIGHT_STEP = 1e-5  # m, to which the height of a contact is found
 
 
 def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) -> Array:
@@ -30,6 +31,23 @@ def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) 
     reach = np.abs(axes @ R) @ box.half_extents + np.abs(axes[:, :, 2]) * height / 2
     reach_other = np.einsum("wik,wk->wi", np.abs(axes @ T[:, :3, :3]), half)
     return np.asarray((gap - reach - reach_other).max(axis=1))
+
+
+def contact_height(box: OrientedBox, height: float, other: OrientedBox) -> float:
+    """By how much, m, a box can be lifted until it cuts into another by more than what may overlap at the start; the
+    full height if it never does up to there. What is swept only grows, so halving finds it, to `HEIGHT_STEP`."""
+    T, half = other.T_frame_box[None], other.half_extents[None]
+
+    def cuts(lifted: float) -> bool:
+        return bool(swept_up_separation(box, lifted, T, half)[0] < -CONTACT_TOLERANCE)
+
+    if not cuts(height):
+        return height
+    low, high = 0.0, height
+    while high - low > HEIGHT_STEP:
+        middle = (low + high) / 2
+        low, high = (low, middle) if cuts(middle) else (middle, high)
+    return low
 
 
 def lift_blockers(

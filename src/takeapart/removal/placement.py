@@ -14,8 +14,15 @@ from scipy.spatial import ConvexHull
 from takeapart.assembly import OVERLAP_TOLERANCE, Assembly
 from takeapart.errors import InputError
 from takeapart.geometry import Array, OrientedBox, box_separation
+from takeapart.motion.blockers import configuration_blockers
+from takeapart.motion.scene import new_scene
+from takeapart.removal.goals import ORIENTATIONS, GoalConfigurations
+from takeapart.removal.wording import away, counted, point
+from takeapart.robot.arrays import Workspace
+from takeapart.robot.extent import arm_extent
 from takeapart.robot.kinematics import forward
 from takeapart.robot.model import RobotModel
+from takeapart.robot.world import build_world
 from takeapart.workcell import Workcell
 
 
@@ -30,6 +37,40 @@ def require_placement(assembly: Assembly, workcell: Workcell, robot: RobotModel)
     _require_free_parts(assembly, workcell)
     _require_free_goal(assembly, workcell)
     _require_free_home(assembly, workcell, robot)
+
+
+def require_reached_goal(
+    assembly: Assembly,
+    workcell: Workcell,
+    robot: RobotModel,
+    goals: GoalConfigurations,
+    padding: float,
+    work: Workspace,
+) -> None:
+    """Refuses a goal at which the arm cannot put the tool, whatever it holds.
+
+    Args:
+        goals: configurations with the tool there.
+        padding: distance kept, m.
+
+    Raises:
+        InputError: there is no such configuration, or each hits something that never leaves; the message names what,
+            or the distance and the arm's reach.
+    """
+    if goals.is_reached(work):
+        return
+    where, place = f"{workcell.name}: goal", point(workcell.goal)
+    rows = np.array(list(goals.solutions()))
+    if len(rows):
+        counts = _hits(assembly, workcell, robot, rows, padding, work)
+        what = counted(counts, len(rows), "configurations that put the tool there")
+        raise InputError(f"{place}: the arm hits {what}", where)
+    extent = arm_extent(robot)
+    distance = float(extent.distances(workcell.goal[None])[0])
+    if distance > extent.length:
+        raise InputError(f"{place} is out of reach: {away(distance, extent)}", where)
+    what = f"none of {ORIENTATIONS} orientations of the tool there is within the joint limits"
+    raise InputError(f"{place}: {what}; it is {away(distance, extent)}", where)
 
 
 def overlap_depth(first: Array, second: Array) -> float:
@@ -66,12 +107,12 @@ def _require_limits(workcell: Workcell, robot: RobotModel) -> None:
 
 
 def _require_free_parts(assembly: Assembly, workcell: Workcell) -> None:
-    for part in assembly.parts:
-        for obstacle in () if part.fixed else workcell.environment:
-            depth = max(-_separation(box, obstacle.box) for box in part.boxes_in_world())
+    for name, box in _removable(assembly):
+        for obstacle in workcell.environment:
+            depth = -_separation(box, obstacle.box)
             if depth > OVERLAP_TOLERANCE:
                 raise InputError(
-                    f"reaches {1e3 * depth:.4g} mm into part {part.name!r} of {assembly.name}; "
+                    f"reaches {1e3 * depth:.4g} mm into {name} of {assembly.name}; "
                     f"{1e3 * OVERLAP_TOLERANCE:.1f} mm is allowed",
                     f"{workcell.name}: obstacle {obstacle.name!r}",
                 )
@@ -82,9 +123,8 @@ def _require_free_goal(assembly: Assembly, workcell: Workcell) -> None:
         local = box.T_frame_box[:3, :3].T @ (workcell.goal - box.T_frame_box[:3, 3])
         depth = float((box.half_extents - np.abs(local)).min())
         if depth > 0:
-            x, y, z = workcell.goal
             raise InputError(
-                f"({x:.4g}, {y:.4g}, {z:.4g}) m lies {1e3 * depth:.4g} mm inside {name}; "
+                f"{point(workcell.goal)} lies {1e3 * depth:.4g} mm inside {name}; "
                 "the tool ends here, so it must be outside of what never leaves",
                 f"{workcell.name}: goal",
             )
@@ -98,10 +138,11 @@ def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel
     T_world_tool = robot.tool_pose(workcell.home, work)
     for (name, _, _), box in zip(robot.fingers, robot.finger_boxes(0.0), strict=True):
         bodies.append((name, box.moved(T_world_tool).corners()))
-    around = [(name, box.corners()) for name, box in _permanent(assembly, workcell)]
-    for part in assembly.parts:
-        if not part.fixed:
-            around += [(f"part {part.name!r}", box.corners()) for box in part.boxes_in_world()]
+    around = [
+        (name, box.corners())
+        for bodies in (_permanent(assembly, workcell), _removable(assembly))
+        for name, box in bodies
+    ]
     meetings = [
         (overlap_depth(corners, others), link, name)
         for link, corners in bodies[1:]  # the base may touch what it stands on
@@ -120,14 +161,39 @@ def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel
         )
 
 
+def _hits(
+    assembly: Assembly, workcell: Workcell, robot: RobotModel, rows: Array, padding: float, work: Workspace
+) -> list[tuple[str, int]]:
+    """In how many of the configurations (K, n) the arm hits what never leaves, by name, the most frequent first."""
+    bodies = list(_permanent(assembly, workcell))
+    names = list(dict.fromkeys(name for name, _ in bodies))
+    boxes = [(box, names.index(name)) for name, box in bodies]
+    boxes += [(box, len(names)) for _, box in _removable(assembly)]  # so that there are any; they do not count
+    world = build_world(boxes, robot.largest_ball + padding)
+    hits = np.zeros((len(rows), len(names) + 1), dtype=np.uint8)
+    scene = new_scene(robot.arm, robot.held(0.0), world, np.ones_like(hits[0]), padding, 0.0, work)
+    scene.present[-1] = 0
+    hits[:, -1] = configuration_blockers(scene, rows, hits)
+    counts = zip([*names, "itself"], hits.sum(axis=0, dtype=int).tolist(), strict=True)
+    return sorted([pair for pair in counts if pair[1]], key=lambda pair: -pair[1])
+
+
 def _permanent(assembly: Assembly, workcell: Workcell) -> Iterator[tuple[str, OrientedBox]]:
-    """What never leaves, by name, in the world frame."""
+    """What never leaves, by name, in the world frame: obstacles, and fixed parts with what they host."""
     for obstacle in workcell.environment:
         yield f"obstacle {obstacle.name!r}", obstacle.box
-    for part in assembly.parts:
+    for i, part in enumerate(assembly.parts):
         if part.fixed:
-            for box in part.boxes_in_world():
-                yield f"fixed part {part.name!r}", box
+            for box in assembly.body(i):
+                yield f"fixed part {part.name!r}", box.moved(part.T_world_part)
+
+
+def _removable(assembly: Assembly) -> Iterator[tuple[str, OrientedBox]]:
+    """The removable parts with what they host, by name, in the world frame."""
+    for i, part in enumerate(assembly.parts):
+        if not part.fixed:
+            for box in assembly.body(i):
+                yield f"part {part.name!r}", box.moved(part.T_world_part)
 
 
 def _separation(first: OrientedBox, second: OrientedBox) -> float:

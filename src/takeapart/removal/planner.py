@@ -21,7 +21,7 @@ from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
-from takeapart.removal.placement import require_placement
+from takeapart.removal.placement import require_placement, require_reached_goal
 from takeapart.removal.reach import Reach
 from takeapart.removal.result import Blocked, Counts, Removal
 from takeapart.removal.situation import Situation
@@ -54,6 +54,7 @@ class RemovalPlanner:
         workcell: everything around it.
         options: see `RemovalOptions`.
         robot: the arm, if it is loaded already.
+        is_placed: whether it is known that home, goal and obstacles stand where something can be planned.
 
     Raises:
         InputError: robot files are missing or unusable; home, goal or an obstacle stand where nothing can be planned.
@@ -65,11 +66,13 @@ class RemovalPlanner:
         workcell: Workcell,
         options: RemovalOptions = DEFAULTS,
         robot: RobotModel | None = None,
+        is_placed: bool = False,
     ) -> None:
         self.assembly, self.workcell, self.options = assembly, workcell, options
         self._patient = replace(options, tree_iterations=LARGER_TREES * options.tree_iterations)
         self.robot = robot or load_robot(workcell)
-        require_placement(assembly, workcell, self.robot)
+        if not is_placed:
+            require_placement(assembly, workcell, self.robot)
         self.counts = Counts()
         self._parts = len(assembly.parts)
         # Whatever passes a check keeps the workcell's clearance between two checks too.
@@ -91,6 +94,8 @@ class RemovalPlanner:
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
         self._local = threading.local()
+        if not is_placed:
+            require_reached_goal(assembly, workcell, self.robot, self.goals, self._padding, self.workspace())
 
     def forget_grasps(self) -> None:
         """Starts anew with grasps and lifts, which are kept from the first time they are asked for."""
@@ -102,6 +107,10 @@ class RemovalPlanner:
         planner cannot undercut, but a grasp between two candidates can.
         """
         return self.reach.bound(part)
+
+    def is_graspable(self, part: int) -> bool:
+        """Whether the gripper can hold the part, whatever stands around it: it is neither too heavy nor too wide."""
+        return bool(self.reach.candidates(part))
 
     def straight_line_total(self, removals: Sequence[Removal]) -> float:
         """The straight-line bound, m: no plan that removes these parts, each gripped somewhere in its volume, is
@@ -128,6 +137,8 @@ class RemovalPlanner:
             "path" may only mean that nothing shorter was found.
         """
         others = state & ~(1 << part)
+        if not self.is_graspable(part):
+            return Blocked(part, "grasp", 0)
         lift = self.lift_blockers[part]
         if lift is None or lift & others:
             return Blocked(part, "lift", (lift or 0) & others)
@@ -141,7 +152,7 @@ class RemovalPlanner:
             self._world_of(others),
             self._padding,
             self.options.check_step,
-            self._workspace(),
+            self.workspace(),
         )
         best: Removal | Blocked | None = None
         limit = shorter_than
@@ -186,8 +197,6 @@ class RemovalPlanner:
         if not open_:
             known = [hand.blockers & others for hand in situation.hands if hand.blockers is not None]
             return Blocked(part, "grasp", _fewest(known))
-        if not len(self.goals.all(situation.work)):
-            return Blocked(part, "ik", 0)
         if any(situation.branches(number) for number in open_):
             return Blocked(part, "path", self._blame_path(situation))
         known = [mask for number in open_ for mask in self.reach.in_the_way(part, number, others, situation.work)]
@@ -221,10 +230,11 @@ class RemovalPlanner:
     def tool_path(self, joint_path: Array) -> Array:
         """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad."""
         poses = np.empty((len(joint_path), 7))
-        tool_poses(self.robot.arm, np.ascontiguousarray(joint_path), self._workspace(), poses)
+        tool_poses(self.robot.arm, np.ascontiguousarray(joint_path), self.workspace(), poses)
         return poses
 
-    def _workspace(self) -> Workspace:
+    def workspace(self) -> Workspace:
+        """Scratch memory of the calling thread."""
         if not hasattr(self._local, "work"):
             self._local.work = self.robot.workspace(self._largest_load)
         work: Workspace = self._local.work

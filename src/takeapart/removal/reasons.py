@@ -1,0 +1,223 @@
+"""Why a part cannot leave, with numbers and names; worked out only when somebody asks.
+
+A refusal (`Blocked`) is cheap: a stage and the removable parts to blame. What never leaves is one nameless body to the
+planner. Here the question is put again to a planner for which every body has a number of its own: fixed parts and
+obstacles too are then named by the same masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from takeapart.assembly import Assembly, Part, members
+from takeapart.geometry import Box
+from takeapart.removal.grasps import ungraspable
+from takeapart.removal.lifting import contact_height
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.removal.result import Blocked, Stage
+from takeapart.removal.wording import away, counted, in_all, listed, millimetres
+from takeapart.robot.extent import Extent, arm_extent
+from takeapart.workcell import GRAVITY
+
+Cause = Literal["gravity", "lift", "weight", "slip", "width", "hand", "reach", "arm", "path"]
+Numbers = tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A refusal in words for people and numbers for machines.
+
+    Args:
+        stage: where planning the removal ends.
+        cause: what ends it there.
+        text: one clause without the part's name.
+        numbers: names and values of what the clause was made of, in m, kg and N, or counts.
+        hits: bodies in the way by name, fixed parts and obstacles among them. At cause "lift": after how many m they
+            are hit, the whole height where it ends too close to them; at "hand" and "arm": in how many grasps, or ways
+            to hold and lift the part.
+        blamed: names of the removable parts that have to leave before; where no leaving helps, of what never leaves and
+            is in the way; empty where nothing is.
+    """
+
+    stage: Stage
+    cause: Cause
+    text: str
+    numbers: Numbers = ()
+    hits: Numbers = ()
+    blamed: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.text} (stage {self.stage})"
+
+
+class _Bodies(Assembly):
+    """Parts, fixed ones and obstacles alike, each with a number. All are known to be valid, and obstacles may overlap
+    one another."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
+class Reasons:
+    """Explains the refusals of one planner.
+
+    Args:
+        planner: that refused.
+    """
+
+    def __init__(self, planner: RemovalPlanner) -> None:
+        self._planner, self._assembly, self._workcell = planner, planner.assembly, planner.workcell
+        parts, obstacles = self._assembly.parts, self._workcell.environment
+        self._bodies = [part.name for part in parts] + [obstacle.name for obstacle in obstacles]
+        self._permanent = (1 << len(self._bodies)) - 1 & ~self._assembly.root
+
+    def of(self, blocked: Blocked, state: int) -> Reason:
+        """The reason of a refusal.
+
+        The stage is that of this state: where a refusal is known from a smaller one, it can be an earlier one.
+
+        Args:
+            blocked: what the planner, or gravity, answered.
+            state: in which the part was to leave.
+        """
+        part, others = blocked.part, state & ~(1 << blocked.part)
+        present = others | self._permanent & ~(1 << part)
+        if not self._planner.is_graspable(part):
+            return self._ungraspable(part)
+        if blocked.stage == "stability":
+            names = self._names(blocked.blamed & others)
+            return Reason("stability", "gravity", f"without it {listed(names)} would fall", blamed=names)
+        if blocked.stage == "lift":
+            return self._lift(blocked, present)
+        work, reach = self._planner.workspace(), self._planner.reach
+        hands = reach.hands(part, work)
+        free = [k for k, hand in enumerate(hands) if hand.blockers is not None and not hand.blockers & others]
+        if not free:
+            return self._hand(blocked, present)
+        reached = [k for k in free if reach.branches(part, k, others, work)]
+        return self._path(blocked, present, reached) if reached else self._arm(blocked, present, free)
+
+    @cached_property
+    def extent(self) -> Extent:
+        """Of the arm."""
+        return arm_extent(self._planner.robot)
+
+    @cached_property
+    def named(self) -> RemovalPlanner:
+        """The planner for which every body has a number of its own: parts as in the assembly, then obstacles."""
+        parts = [replace(part, fixed=False) for part in self._assembly.parts]
+        for obstacle in self._workcell.environment:
+            shape = Box((2 * obstacle.box.half_extents).tolist())
+            # A space, which no part's name has: it hosts no connector, whatever it is called.
+            parts.append(Part(f"obstacle {obstacle.name}", shape, obstacle.box.T_frame_box, 1.0))
+        bodies = _Bodies(self._assembly.name, tuple(parts), self._assembly.connectors)
+        workcell = replace(self._workcell, environment=())
+        return RemovalPlanner(bodies, workcell, self._planner.options, self._planner.robot, is_placed=True)
+
+    def _names(self, mask: int) -> tuple[str, ...]:
+        return tuple(self._bodies[i] for i in members(mask))
+
+    def _blamed(self, blocked: Blocked, masks: Sequence[int]) -> tuple[str, ...]:
+        return self._names(blocked.blamed or min(masks, key=int.bit_count, default=0))
+
+    def _ungraspable(self, number: int) -> Reason:
+        part, cell = self._assembly.parts[number], self._workcell
+        cause = ungraspable(part, cell)
+        if cause == "weight":
+            excess = f"{part.mass - cell.payload:.3g} kg more than the payload of {cell.payload:.4g} kg"
+            text = f"weighs {part.mass:.4g} kg, {excess}"
+            return Reason("grasp", cause, text, (("mass", part.mass), ("payload", cell.payload)))
+        if cause == "slip":
+            text = (
+                f"weighs {part.mass:.4g} kg and slips: two fingers that press with {cell.gripping_force:.4g} N at "
+                f"friction {cell.friction:.3g} hold {cell.grip:.3g} kg"
+            )
+            numbers = (
+                ("mass", part.mass),
+                ("grip", cell.grip),
+                ("weight", part.mass * GRAVITY),
+                ("gripping_force", cell.gripping_force),
+                ("friction", cell.friction),
+            )
+            return Reason("grasp", cause, text, numbers)
+        opening = cell.description.maximum_opening
+        width, other, _ = sorted((2 * part.shape.bounding_box().half_extents).tolist())
+        text = (
+            f"is {millimetres(width)} by {millimetres(other)} wide: wider than the fingers' opening of "
+            f"{millimetres(opening)} by {millimetres(width - opening)}"
+        )
+        return Reason("grasp", "width", text, (("width", width), ("other_width", other), ("opening", opening)))
+
+    def _lift(self, blocked: Blocked, present: int) -> Reason:
+        part, named, height = blocked.part, self.named.assembly, self._workcell.lift_height
+        mask = (self.named.lift_blockers[part] or 0) & present
+        hits = members(mask)
+        bodies = {i: [b.moved(named.parts[i].T_world_part) for b in named.body(i)] for i in (part, *hits)}
+        after = {i: min(contact_height(own, height, box) for own in bodies[part] for box in bodies[i]) for i in hits}
+        nearest = sorted(hits, key=lambda i: (after[i], i))
+        met = [
+            f"hits {self._bodies[i]} after {millimetres(after[i])}"
+            if after[i] < height
+            else f"ends too close to {self._bodies[i]}"
+            for i in nearest
+        ]
+        text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(met)}"
+        heights = tuple((self._bodies[i], after[i]) for i in nearest)
+        blamed = self._blamed(blocked, [mask & self._permanent])
+        return Reason("lift", "lift", text, (("lift_height", height),), heights, blamed)
+
+    def _hand(self, blocked: Blocked, present: int) -> Reason:
+        """Every grasp has something in its way: other bodies, or the part that is gripped."""
+        hands = self.named.reach.hands(blocked.part, self.named.workspace())
+        masks = [hand.blockers & present for hand in hands if hand.blockers is not None]
+        own = len(hands) - len(masks)
+        counts = self._counts(masks) + ([("the part itself", own)] if own else [])
+        text = f"the hand hits {counted(counts, len(hands), 'grasps')}"
+        return Reason("grasp", "hand", text, (("grasps", len(hands)),), tuple(counts), self._blamed(blocked, masks))
+
+    def _arm(self, blocked: Blocked, present: int, free: Sequence[int]) -> Reason:
+        """No free grasp can be held and lifted: the arm hits something each time, or does not get there."""
+        part, named, work = blocked.part, self.named, self.named.workspace()
+        candidates = self._planner.reach.candidates(part)
+        T_world_part = self._assembly.parts[part].T_world_part
+        centers = np.array([(T_world_part @ candidates[k].T_part_tool)[:3, 3] for k in free])
+        distance = float(self.extent.distances(centers).min())
+        numbers: Numbers = (("grasps", len(free)), ("distance", distance), ("reach", self.extent.length))
+        masks = [mask for k in free for mask in named.reach.in_the_way(part, k, present, work)]
+        if masks:
+            counts = self._counts(masks)
+            text = f"the arm hits {counted(counts, len(masks), 'ways to hold and lift it')}"
+            numbers = (*numbers, ("ways", len(masks)))
+            return Reason("ik", "arm", text, numbers, tuple(counts), self._blamed(blocked, masks))
+        if distance > self.extent.length:
+            return Reason("ik", "reach", f"is out of reach: {away(distance, self.extent)}", numbers)
+        text = (
+            f"no configuration within the joint limits lifts it straight up, in {in_all(len(free), 'free grasps')}; "
+            f"the nearest is {away(distance, self.extent)}"
+        )
+        return Reason("ik", "reach", text, numbers)
+
+    def _path(self, blocked: Blocked, present: int, reached: Sequence[int]) -> Reason:
+        hands = self.named.reach.hands(blocked.part, self.named.workspace())
+        common = present
+        for k in reached:
+            common &= hands[k].line or 0
+        line = min(hands[k].bound for k in reached)
+        text = f"no path to the goal was found, with {in_all(len(reached), 'grasps')} that hand and arm can take"
+        if common:
+            text += f"; every straight line to it meets {listed(self._names(common))}"
+        blamed = self._names((common & self._assembly.root) or blocked.blamed or common)
+        return Reason("path", "path", text, (("grasps", len(reached)), ("straight_line", line)), blamed=blamed)
+
+    def _counts(self, masks: Sequence[int]) -> list[tuple[str, int]]:
+        """Bodies by how often they are in the way, the most frequent first."""
+        counts: dict[int, int] = {}
+        for mask in masks:
+            for i in members(mask):
+                counts[i] = counts.get(i, 0) + 1
+        return [(self._bodies[i], counts[i]) for i in sorted(counts, key=lambda i: (-counts[i], i))]
