@@ -8,7 +8,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array, OrientedBox, box_separation
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
-HEIGHT_STEP = 1e-5  # m, to which the height of a contact is found
+HEIGHT_STEP = 1e-7  # m, to which the height of a contact is found
 
 
 def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) -> Array:

@@ -17,7 +17,7 @@ from takeapart.geometry import Array, OrientedBox, box_separation
 from takeapart.motion.blockers import configuration_blockers
 from takeapart.motion.scene import new_scene
 from takeapart.removal.goals import ORIENTATIONS, GoalConfigurations
-from takeapart.removal.wording import away, counted, point
+from takeapart.removal.wording import away, counted, millimetres, point
 from takeapart.robot.arrays import Workspace
 from takeapart.robot.extent import arm_extent
 from takeapart.robot.kinematics import forward
@@ -64,7 +64,9 @@ def require_reached_goal(
     if len(rows):
         counts = _hits(assembly, workcell, robot, rows, padding, work)
         what = counted(counts, len(rows), "configurations that put the tool there")
-        raise InputError(f"{place}: the arm hits {what}", where)
+        near = [(_outside(box, workcell.goal), name) for name, box in _permanent(assembly, workcell)]
+        beside = [f", {millimetres(distance)} from {name}" for distance, name in sorted(near)[:1]]
+        raise InputError(f"{place}{''.join(beside)}: the arm hits {what}", where)
     extent = arm_extent(robot)
     distance = float(extent.distances(workcell.goal[None])[0])
     if distance > extent.length:
@@ -120,8 +122,7 @@ def _require_free_parts(assembly: Assembly, workcell: Workcell) -> None:
 
 def _require_free_goal(assembly: Assembly, workcell: Workcell) -> None:
     for name, box in _permanent(assembly, workcell):
-        local = box.T_frame_box[:3, :3].T @ (workcell.goal - box.T_frame_box[:3, 3])
-        depth = float((box.half_extents - np.abs(local)).min())
+        depth = float((box.half_extents - np.abs(_local(box, workcell.goal))).min())
         if depth > 0:
             raise InputError(
                 f"{point(workcell.goal)} lies {1e3 * depth:.4g} mm inside {name}; "
@@ -194,6 +195,16 @@ def _removable(assembly: Assembly) -> Iterator[tuple[str, OrientedBox]]:
         if not part.fixed:
             for box in assembly.body(i):
                 yield f"part {part.name!r}", box.moved(part.T_world_part)
+
+
+def _local(box: OrientedBox, position: Array) -> Array:
+    """A position (3,), m, in the box's own frame."""
+    return np.asarray(box.T_frame_box[:3, :3].T @ (position - box.T_frame_box[:3, 3]))
+
+
+def _outside(box: OrientedBox, position: Array) -> float:
+    """Distance of a position (3,) from a box, m; 0 inside."""
+    return float(np.linalg.norm(np.maximum(np.abs(_local(box, position)) - box.half_extents, 0.0)))
 
 
 def _separation(first: OrientedBox, second: OrientedBox) -> float:

@@ -25,6 +25,7 @@ from takeapart.robot.extent import Extent, arm_extent
 from takeapart.workcell import GRAVITY
 
 Cause = Literal["gravity", "lift", "weight", "slip", "width", "hand", "reach", "arm", "path"]
+ITSELF = "the part itself"
 Numbers = tuple[tuple[str, float], ...]
 
 
@@ -176,8 +177,13 @@ class Reasons:
         hands = self.named.reach.hands(blocked.part, self.named.workspace())
         masks = [hand.blockers & present for hand in hands if hand.blockers is not None]
         own = len(hands) - len(masks)
-        counts = self._counts(masks) + ([("the part itself", own)] if own else [])
-        text = f"the hand hits {counted(counts, len(hands), 'grasps')}"
+        counts = self._counts(masks)
+        text = f"the hand hits {counted(counts, len(masks), 'grasps')}" if masks else ""
+        if own:
+            counts.append((ITSELF, own))
+            text += (
+                f"; in {own} more it hits {ITSELF}" if masks else f"the hand hits {ITSELF} in {in_all(own, 'grasps')}"
+            )
         return Reason("grasp", "hand", text, (("grasps", len(hands)),), tuple(counts), self._blamed(blocked, masks))
 
     def _arm(self, blocked: Blocked, present: int, free: Sequence[int]) -> Reason:

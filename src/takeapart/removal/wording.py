@@ -38,7 +38,7 @@ def in_all(total: int, things: str) -> str:
 
 def millimetres(length: float) -> str:
     """A length given in m."""
-    return f"{1e3 * length:.3g} mm" if length < 1 else f"{1e3 * length:.0f} mm"
+    return f"{1e3 * length:.4g} mm" if length < 1 else f"{1e3 * length:.0f} mm"
 
 
 def point(position: Array) -> str:
