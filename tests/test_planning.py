@@ -120,8 +120,8 @@ def test_no_feasible_order(name: str) -> None:
         ("beam", "stability", ("stub",)),
         ("stub", "lift", ("beam",)),
     }
-    # The roof begins 11 mm above the middle of the stub, whose upper side is 10 mm above it; 0.1 mm may overlap.
-    lifted = "stub: only straight up is tried: lifted by 50 mm it hits beam after 1.1 mm (stage lift)"
+    # The roof begins 11 mm above the middle of the stub, whose upper side is 10 mm above it.
+    lifted = "stub: only straight up is tried: lifted by 50 mm it hits beam after 1 mm (stage lift)"
     assert (
         str(made)
         == f"no feasible order; with 2 parts left: {lifted}; beam: without it stub would fall (stage stability)"

@@ -20,6 +20,7 @@ from takeapart.plan import Plan
 from takeapart.planning import Hindrance, Infeasible, PlanningOptions, build_problem, explain, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.goals import ORIENTATIONS, super_fibonacci
+from takeapart.removal.lifting import contact_height
 from takeapart.removal.placement import overlap_depth
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.reasons import Reason, Reasons
@@ -76,7 +77,7 @@ def test_gravity_names_what_would_fall() -> None:
 
 
 def test_a_lift_says_after_how_much_each_body_is_hit(robot: RobotModel, workcell: Workcell) -> None:
-    """The bar's upper side is at 160 mm. A lid begins at 172 mm, so it is hit after 12 mm; 0.1 mm may overlap. A beam
+    """The bar's upper side is at 160 mm. A lid begins at 172 mm, so it is hit after 12 mm, and a beam
     begins at 190 mm. A cover begins at 210.5 mm: 50 mm higher the bar is free, but closer than the clearance."""
     lid = block("lid", [0.10, 0.15, 0.182], (0.02, 0.02, 0.02), fixed=False)
     beam = block("beam", [0.10, 0.25, 0.20], (0.02, 0.02, 0.02), fixed=False)
@@ -84,13 +85,29 @@ def test_a_lift_says_after_how_much_each_body_is_hit(robot: RobotModel, workcell
     reason = asked(planner_of(robot, workcell, FREE_BAR, lid, beam, cover))
     assert (reason.stage, reason.cause) == ("lift", "lift")
     assert reason.text == (
-        "only straight up is tried: lifted by 50 mm it hits lid after 12.1 mm, hits beam after 30.1 mm and "
+        "only straight up is tried: lifted by 50 mm it hits lid after 12 mm, hits beam after 30 mm and "
         "ends too close to cover"
     )
     assert reason.numbers == (("lift_height", 0.05),)
     assert [name for name, _ in reason.hits] == ["lid", "beam", "cover"]
-    assert [height for _, height in reason.hits] == pytest.approx([0.0121, 0.0301, 0.05], abs=1e-6)
+    assert [height for _, height in reason.hits] == pytest.approx([0.012, 0.03, 0.05], abs=1e-6)
     assert reason.blamed == ("lid", "beam", "cover")
+
+
+def test_boxes_that_touch_or_slide_meet_where_they_touch_more() -> None:
+    """A bar slides along a post that it touches, up to a peg that sticks out of it 20 mm above the bar's upper side; a
+    roof that slopes by 45 degrees stands with its edge 20 mm above the bar."""
+    bar = OrientedBox(pose([0.0, 0.0, 0.0]), np.array([0.1, 0.01, 0.01]))
+    post = OrientedBox(pose([0.11, 0.0, 0.0]), np.array([0.01, 0.01, 1.0]))
+    peg = OrientedBox(pose([0.105, 0.0, 0.04]), np.array([0.01, 0.01, 0.01]))
+    edge = np.sqrt(2) * 0.01  # from the middle of the roof to its edge
+    roof = OrientedBox(pose([0.0, 0.0, 0.03 + edge], (np.cos(np.pi / 8), np.sin(np.pi / 8), 0, 0)), np.full(3, 0.01))
+    assert contact_height(bar, 0.05, post) == 0.05
+    assert contact_height(bar, 0.05, peg) == pytest.approx(0.02, abs=1e-6)
+    assert contact_height(bar, 0.019, peg) == 0.019
+    assert contact_height(bar, 0.05, roof) == pytest.approx(0.02, abs=1e-6)
+    resting = OrientedBox(pose([0.0, 0.0, 0.02]), np.array([0.01, 0.01, 0.01]))  # on top of the bar
+    assert contact_height(bar, 0.05, resting) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_lift_into_what_never_leaves_blames_that(robot: RobotModel, workcell: Workcell) -> None:
@@ -98,7 +115,7 @@ def test_a_lift_into_what_never_leaves_blames_that(robot: RobotModel, workcell: 
     shelf = obstacle("shelf", [0.10, 0.25, 0.205], (0.02, 0.02, 0.02))
     crowded = replace(workcell, environment=(*workcell.environment, shelf))
     reason = asked(planner_of(robot, crowded, FREE_BAR, lid))
-    assert "hits lid after 12.1 mm and hits shelf after 35.1 mm" in reason.text
+    assert "hits lid after 12 mm and hits shelf after 35 mm" in reason.text
     assert reason.blamed == ("shelf",)
     rail = block("rail", [0.10, 0.25, 0.205], (0.02, 0.02, 0.02))
     assert asked(planner_of(robot, workcell, FREE_BAR, lid, rail)).blamed == ("rail",)

@@ -8,6 +8,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array, OrientedBox, box_separation
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
+ROUNDING = 1e-9  # m
 HEIGHT_STEP = 1e-7  # m, to which the height of a contact is found
 
 
@@ -34,19 +35,21 @@ def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) 
 
 
 def contact_height(box: OrientedBox, height: float, other: OrientedBox) -> float:
-    """By how much, m, a box can be lifted until it cuts into another by more than what may overlap at the start; the
-    full height if it never does up to there. What is swept only grows, so halving finds it, to `HEIGHT_STEP`."""
+    """By how much, m, a box can be lifted until it meets another that is in the way of the lift; the full height if the
+    other is not. Boxes that touch at the start meet where they touch more. What is swept only grows, so halving finds
+    it."""
     T, half = other.T_frame_box[None], other.half_extents[None]
 
-    def cuts(lifted: float) -> bool:
-        return bool(swept_up_separation(box, lifted, T, half)[0] < -CONTACT_TOLERANCE)
+    def separation(lifted: float) -> float:
+        return float(swept_up_separation(box, lifted, T, half)[0])
 
-    if not cuts(height):
+    if separation(height) >= -CONTACT_TOLERANCE:
         return height
+    touching = min(separation(0.0), 0.0) - ROUNDING
     low, high = 0.0, height
     while high - low > HEIGHT_STEP:
         middle = (low + high) / 2
-        low, high = (low, middle) if cuts(middle) else (middle, high)
+        low, high = (low, middle) if separation(middle) < touching else (middle, high)
     return low
 
 
