@@ -9,7 +9,7 @@ from takeapart.geometry import Array, OrientedBox, box_separation
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
 ROUNDING = 1e-9  # m
-HEIGHT_STEP = 1e-7  # m, to which the height of a contact is found
+HEIGHT_STEP = 1e-9  # m, to which the height of a contact is found
 
 
 def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) -> Array:
@@ -50,7 +50,7 @@ def contact_height(box: OrientedBox, height: float, other: OrientedBox) -> float
     while high - low > HEIGHT_STEP:
         middle = (low + high) / 2
         low, high = (low, middle) if separation(middle) < touching else (middle, high)
-    return low
+    return (low + high) / 2
 
 
 def lift_blockers(
