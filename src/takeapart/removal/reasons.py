@@ -177,14 +177,15 @@ class Reasons:
         hands = self.named.reach.hands(blocked.part, self.named.workspace())
         masks = [hand.blockers & present for hand in hands if hand.blockers is not None]
         own = len(hands) - len(masks)
-        counts = self._counts(masks)
+        counts, blamed = self._counts(masks), self._blamed(blocked, masks)
         text = f"the hand hits {counted(counts, len(masks), 'grasps')}" if masks else ""
+        text += _least(blamed, counts, len(masks))
         if own:
-            counts.append((ITSELF, own))
             text += (
                 f"; in {own} more it hits {ITSELF}" if masks else f"the hand hits {ITSELF} in {in_all(own, 'grasps')}"
             )
-        return Reason("grasp", "hand", text, (("grasps", len(hands)),), tuple(counts), self._blamed(blocked, masks))
+            counts.append((ITSELF, own))
+        return Reason("grasp", "hand", text, (("grasps", len(hands)),), tuple(counts), blamed)
 
     def _arm(self, blocked: Blocked, present: int, free: Sequence[int]) -> Reason:
         """No free grasp can be held and lifted: the arm hits something each time, or does not get there."""
@@ -194,12 +195,12 @@ class Reasons:
         centers = np.array([(T_world_part @ candidates[k].T_part_tool)[:3, 3] for k in free])
         distance = float(self.extent.distances(centers).min())
         numbers: Numbers = (("grasps", len(free)), ("distance", distance), ("reach", self.extent.length))
-        masks = [mask for k in free for mask in named.reach.in_the_way(part, k, present, work)]
+        masks = [mask for k in free for mask in named.reach.in_the_way(part, k, present, work) if mask]
         if masks:
-            counts = self._counts(masks)
+            counts, blamed = self._counts(masks), self._blamed(blocked, masks)
             text = f"the arm hits {counted(counts, len(masks), 'ways to hold and lift it')}"
-            numbers = (*numbers, ("ways", len(masks)))
-            return Reason("ik", "arm", text, numbers, tuple(counts), self._blamed(blocked, masks))
+            text += _least(blamed, counts, len(masks))
+            return Reason("ik", "arm", text, (*numbers, ("ways", len(masks))), tuple(counts), blamed)
         if distance > self.extent.length:
             return Reason("ik", "reach", f"is out of reach: {away(distance, self.extent)}", numbers)
         text = (
@@ -227,3 +228,9 @@ class Reasons:
             for i in members(mask):
                 counts[i] = counts.get(i, 0) + 1
         return [(self._bodies[i], counts[i]) for i in sorted(counts, key=lambda i: (-counts[i], i))]
+
+
+def _least(blamed: Sequence[str], counts: Sequence[tuple[str, int]], total: int) -> str:
+    """What is hit where the least is hit, if that was not told yet."""
+    always = {name for name, count in counts if count == total}
+    return f"; in one of them only {listed(blamed)}" if set(blamed) - always else ""

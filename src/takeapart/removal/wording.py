@@ -10,15 +10,15 @@ from takeapart.robot.extent import Extent
 NAMED = 4  # names in a sentence; the others are counted
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str], most: int = NAMED) -> str:
     """Names for a sentence: "lid, rail and post", or the first ones and how many more."""
-    if len(names) > NAMED:
-        return f"{', '.join(names[:NAMED])} and {len(names) - NAMED} more"
+    if len(names) > most:
+        return f"{', '.join(names[:most])} and {len(names) - most} more"
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def counted(counts: Sequence[tuple[str, int]], total: int, things: str) -> str:
-    """What is hit how often: "table in all 14 grasps", "lid in 9 and table in 5 of 14 grasps".
+    """What is hit how often: "table in all 14 grasps", or "lid in 9 of 14 grasps, table in 5 and 2 other bodies".
 
     Args:
         counts: names, the most frequent first.
@@ -28,7 +28,10 @@ def counted(counts: Sequence[tuple[str, int]], total: int, things: str) -> str:
     always = [name for name, count in counts if count == total]
     if always:
         return f"{listed(always)} in {in_all(total, things)}"
-    return f"{listed([f'{name} in {count}' for name, count in counts])} of {total} {things}"
+    (first, most), *others = counts
+    told = [f"{first} in {most} of {total} {things}", *(f"{name} in {count}" for name, count in others[: NAMED - 1])]
+    left = len(counts) - len(told)
+    return listed([*told, *([f"{left} other {'bodies' if left > 1 else 'body'}"] if left else [])], NAMED + 1)
 
 
 def in_all(total: int, things: str) -> str:
