@@ -59,6 +59,21 @@ def test_an_obstacle_inside_a_part_is_refused_with_the_depth() -> None:
             require_placement(assembly, crowded, load_robot(cell))
 
 
+def test_what_a_part_hosts_is_part_of_it() -> None:
+    """The beam's connector for the stub: an obstacle inside of its wall, and below it, where nothing is."""
+    cell, assembly = scene_workcell(), scene_assembly()
+    beam = assembly.parts[assembly.index["beam"]]
+    wall = assembly.body(assembly.index["beam"])[1].moved(beam.T_world_part)
+    low = wall.corners()[:, 2].min()
+    for overlap in (0.001, -0.001):
+        T = pose((*wall.T_frame_box[:2, 3], low + overlap - 0.002))
+        crowded = replace(cell, environment=(*cell.environment, Obstacle("pin", OrientedBox(T, np.full(3, 0.002)))))
+        if overlap > 0:
+            assert "obstacle 'pin': reaches 1 mm into part 'beam'" in refusal(crowded)
+        else:
+            require_placement(assembly, crowded, load_robot(cell))
+
+
 def test_home_in_collision_is_refused_with_both_bodies_and_the_depth() -> None:
     cell = scene_workcell()
     robot = load_robot(cell)
