@@ -35,9 +35,8 @@ def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) 
 
 
 def contact_height(box: OrientedBox, height: float, other: OrientedBox) -> float:
-    """By how much, m, a box can be lifted until it meets another that is in the way of the lift; the full height if the
-    other is not. Boxes that touch at the start meet where they touch more. What is swept only grows, so halving finds
-    it."""
+    """By how much, m, a box can be lifted until it cuts into another that is in the way of the lift; the full height if
+    the other is not: what only slides along it. What is swept only grows, so halving finds it."""
     T, half = other.T_frame_box[None], other.half_extents[None]
 
     def separation(lifted: float) -> float:
@@ -45,11 +44,10 @@ def contact_height(box: OrientedBox, height: float, other: OrientedBox) -> float
 
     if separation(height) >= -CONTACT_TOLERANCE:
         return height
-    touching = min(separation(0.0), 0.0) - ROUNDING
     low, high = 0.0, height
     while high - low > HEIGHT_STEP:
         middle = (low + high) / 2
-        low, high = (low, middle) if separation(middle) < touching else (middle, high)
+        low, high = (low, middle) if separation(middle) < -ROUNDING else (middle, high)
     return (low + high) / 2
 
 

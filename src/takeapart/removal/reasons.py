@@ -195,6 +195,7 @@ class Reasons:
         centers = np.array([(T_world_part @ candidates[k].T_part_tool)[:3, 3] for k in free])
         distance = float(self.extent.distances(centers).min())
         numbers: Numbers = (("grasps", len(free)), ("distance", distance), ("reach", self.extent.length))
+        # The inverse kinematics gives other samples where fewer grasps are hindered for good; one of them may be free.
         masks = [mask for k in free for mask in named.reach.in_the_way(part, k, present, work) if mask]
         if masks:
             counts, blamed = self._counts(masks), self._blamed(blocked, masks)
@@ -218,7 +219,7 @@ class Reasons:
         text = f"no path to the goal was found, with {in_all(len(reached), 'grasps')} that hand and arm can take"
         if common:
             text += f"; every straight line to it meets {listed(self._names(common))}"
-        blamed = self._names((common & self._assembly.root) or blocked.blamed or common)
+        blamed = self._names(blocked.blamed or common)
         return Reason("path", "path", text, (("grasps", len(reached)), ("straight_line", line)), blamed=blamed)
 
     def _counts(self, masks: Sequence[int]) -> list[tuple[str, int]]:
