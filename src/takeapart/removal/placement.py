@@ -169,12 +169,11 @@ def _hits(
     bodies = list(_permanent(assembly, workcell))
     names = list(dict.fromkeys(name for name, _ in bodies))
     boxes = [(box, names.index(name)) for name, box in bodies]
-    boxes += [(box, len(names)) for _, box in _removable(assembly)]  # so that there are any; they do not count
+    boxes += [(box, len(names)) for _, box in _removable(assembly)]  # so that there are any
     world = build_world(boxes, robot.largest_ball + padding)
     hits = np.zeros((len(rows), len(names) + 1), dtype=np.uint8)
     scene = new_scene(robot.arm, robot.held(0.0), world, np.ones_like(hits[0]), padding, 0.0, work)
-    scene.present[-1] = 0
-    hits[:, -1] = configuration_blockers(scene, rows, hits)
+    hits[:, -1] = configuration_blockers(scene, rows, hits)  # instead of the removable parts
     counts = zip([*names, "itself"], hits.sum(axis=0, dtype=int).tolist(), strict=True)
     return sorted([pair for pair in counts if pair[1]], key=lambda pair: -pair[1])
 

@@ -87,7 +87,7 @@ class Reasons:
             state: in which the part was to leave.
         """
         part, others = blocked.part, state & ~(1 << blocked.part)
-        present = others | self._permanent & ~(1 << part)
+        present = others | self._permanent
         if not self._planner.is_graspable(part):
             return self._ungraspable(part)
         if blocked.stage == "stability":
