@@ -132,6 +132,24 @@ def test_an_obstacle_called_like_a_host_hosts_nothing(robot: RobotModel, workcel
     assert [len(named.body(i)) for i in range(5)] == [1, 2, 1, 1, 1]
 
 
+def test_obstacles_of_one_name_are_one_body(robot: RobotModel, workcell: Workcell) -> None:
+    """Two lids of the same name 12 and 30 mm above the bar, and a third that is called like a part."""
+    lids = [
+        obstacle("lid", [0.10, 0.25, 0.20], (0.02, 0.02, 0.02)),
+        obstacle("lid", [0.10, 0.15, 0.182], (0.02, 0.02, 0.02)),
+        obstacle("bar", [0.10, 0.20, 0.195], (0.02, 0.02, 0.02)),
+    ]
+    reason = asked(planner_of(robot, replace(workcell, environment=tuple(lids)), FREE_BAR))
+    assert [name for name, _ in reason.hits] == ["lid", "obstacle bar"]
+    assert [height for _, height in reason.hits] == pytest.approx([0.012, 0.025], abs=1e-6)
+    assert reason.blamed == ("lid", "obstacle bar")
+    halves = [obstacle("table", [0.10, y, -0.022], (1.0, 0.3, 0.04)) for y in (0.05, 0.35)]
+    plate = Part("plate", Box((0.06, 0.24, 0.004)), pose([0.10, 0.20, 0.002]), 0.1)
+    both = asked(planner_of(robot, replace(workcell, environment=tuple(halves)), plate))
+    assert both.blamed == ("table",) and dict(both.hits)["table"] <= dict(both.numbers)["grasps"]
+    assert "the hand hits table in all " in both.text
+
+
 # ---- what no gripper can hold
 
 

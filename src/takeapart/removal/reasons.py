@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from takeapart.assembly import Assembly, Part, members
-from takeapart.geometry import Box
+from takeapart.geometry import Box, OrientedBox
 from takeapart.removal.grasps import ungraspable
 from takeapart.removal.lifting import contact_height
 from takeapart.removal.planner import RemovalPlanner
@@ -74,7 +74,9 @@ class Reasons:
     def __init__(self, planner: RemovalPlanner) -> None:
         self._planner, self._assembly, self._workcell = planner, planner.assembly, planner.workcell
         parts, obstacles = self._assembly.parts, self._workcell.environment
-        self._bodies = [part.name for part in parts] + [obstacle.name for obstacle in obstacles]
+        known = {part.name for part in parts}
+        self._bodies = [part.name for part in parts]  # and obstacles, of which several may have one name
+        self._bodies += [f"obstacle {o.name}" if o.name in known else o.name for o in obstacles]
         self._permanent = (1 << len(self._bodies)) - 1 & ~self._assembly.root
 
     def of(self, blocked: Blocked, state: int) -> Reason:
@@ -121,7 +123,7 @@ class Reasons:
         return RemovalPlanner(bodies, workcell, self._planner.options, self._planner.robot, is_placed=True)
 
     def _names(self, mask: int) -> tuple[str, ...]:
-        return tuple(self._bodies[i] for i in members(mask))
+        return tuple(dict.fromkeys(self._bodies[i] for i in members(mask)))
 
     def _blamed(self, blocked: Blocked, masks: Sequence[int]) -> tuple[str, ...]:
         return self._names(blocked.blamed or min(masks, key=int.bit_count, default=0))
@@ -155,22 +157,26 @@ class Reasons:
         return Reason("grasp", "width", text, (("width", width), ("other_width", other), ("opening", opening)))
 
     def _lift(self, blocked: Blocked, present: int) -> Reason:
-        part, named, height = blocked.part, self.named.assembly, self._workcell.lift_height
+        part, height = blocked.part, self._workcell.lift_height
         mask = (self.named.lift_blockers[part] or 0) & present
-        hits = members(mask)
-        bodies = {i: [b.moved(named.parts[i].T_world_part) for b in named.body(i)] for i in (part, *hits)}
-        after = {i: min(contact_height(own, height, box) for own in bodies[part] for box in bodies[i]) for i in hits}
-        nearest = sorted(hits, key=lambda i: (after[i], i))
-        met = [
-            f"hits {self._bodies[i]} after {millimetres(after[i])}"
-            if after[i] < height
-            else f"ends too close to {self._bodies[i]}"
-            for i in nearest
+        own = self._boxes(part)
+        after: dict[str, float] = {}
+        for i in members(mask):
+            met = min(contact_height(box, height, other) for box in own for other in self._boxes(i))
+            after[self._bodies[i]] = min(met, after.get(self._bodies[i], height))
+        hits = sorted(after.items(), key=lambda hit: hit[1])
+        told = [
+            f"hits {name} after {millimetres(met)}" if met < height else f"ends too close to {name}"
+            for name, met in hits
         ]
-        text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(met)}"
-        heights = tuple((self._bodies[i], after[i]) for i in nearest)
+        text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(told)}"
         blamed = self._blamed(blocked, [mask & self._permanent])
-        return Reason("lift", "lift", text, (("lift_height", height),), heights, blamed)
+        return Reason("lift", "lift", text, (("lift_height", height),), tuple(hits), blamed)
+
+    def _boxes(self, body: int) -> list[OrientedBox]:
+        """Of a body, in the world frame."""
+        named = self.named.assembly
+        return [box.moved(named.parts[body].T_world_part) for box in named.body(body)]
 
     def _hand(self, blocked: Blocked, present: int) -> Reason:
         """Every grasp has something in its way: other bodies, or the part that is gripped."""
@@ -224,11 +230,11 @@ class Reasons:
 
     def _counts(self, masks: Sequence[int]) -> list[tuple[str, int]]:
         """Bodies by how often they are in the way, the most frequent first."""
-        counts: dict[int, int] = {}
+        counts: dict[str, int] = dict.fromkeys(self._bodies, 0)
         for mask in masks:
-            for i in members(mask):
-                counts[i] = counts.get(i, 0) + 1
-        return [(self._bodies[i], counts[i]) for i in sorted(counts, key=lambda i: (-counts[i], i))]
+            for name in self._names(mask):
+                counts[name] += 1
+        return sorted([each for each in counts.items() if each[1]], key=lambda each: -each[1])
 
 
 def _least(blamed: Sequence[str], counts: Sequence[tuple[str, int]], total: int) -> str:
