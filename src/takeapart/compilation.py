@@ -46,14 +46,18 @@ def _digest(folders: Sequence[str]) -> str:
     return digest.hexdigest()[:16]
 
 
-@cache
 def _kernel_folder(module: str) -> Path:
-    """Folder for the machine code of a module: geometry calls no kernels of the searches, nor they any of it.
+    """Folder for the machine code of a module: geometry calls no kernels of the searches, nor they any of it."""
+    return _group_folder(("search",) if module.startswith("takeapart.search") else ("robot", "motion"))
+
+
+@cache
+def _group_folder(group: tuple[str, ...]) -> Path:
+    """Folder for the machine code of the modules in some folders of the package.
 
     Raises:
         InputError: somebody else can write what stands in it.
     """
-    group = ("search",) if module.startswith("takeapart.search") else ("robot", "motion")
     folder = cache_folder() / f"{group[0]}-kernels-{numba.__version__}-{_digest(group)}"
     folder.mkdir(mode=0o700, exist_ok=True)
     doubtful = planted(folder)

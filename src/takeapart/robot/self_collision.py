@@ -98,14 +98,14 @@ def body_pairs(
     """
     pairs: list[BodyPair] = []
     tables: list[DistanceTable] = []
-    rng = np.random.default_rng(0)
+    always = _always_touching(bodies, T_joint, lower, upper)
     for a in range(len(bodies)):
         for b in range(a + 1, len(bodies)):
             first, second = bodies[a], bodies[b]
             between = second.frame - first.frame
             if between == 0 or (between == 1 and first.rigid and second.rigid):
                 pairs.append(BodyPair(a, b, "neighbours"))
-            elif _always_touch(first, second, T_joint, lower, upper, rng):
+            elif always[a, b]:
                 pairs.append(BodyPair(a, b, "always touch"))
             elif between <= 2:
                 table = distance_table(first, second, T_joint, lower, upper)
@@ -129,6 +129,32 @@ def relative_pose(T_joint: Floats, first: int, second: int, angles: Array) -> Ar
         turn[:2, :2] = [[c, -s], [s, c]]
         T = T @ np.vstack([T_joint[k], [0, 0, 0, 1]]) @ turn
     return T
+
+
+def _always_touching(bodies: Sequence[ConvexBody], T_joint: Floats, lower: Floats, upper: Floats) -> Array:
+    """Which pairs (B, B) of bodies, the smaller number first, touch in every one of some configurations; kept in the
+    cache folder.
+    """
+    frames = np.array([body.frame for body in bodies])
+    name = _name("touching-1", *[body.corners for body in bodies], frames, T_joint, lower, upper)
+    known = kept(name)
+    if known is not None and known.shape == (len(bodies), len(bodies)) and known.dtype == np.bool_:
+        return known
+    found = np.zeros((len(bodies), len(bodies)), dtype=bool)
+    for a, first in enumerate(bodies):
+        for b in range(a + 1, len(bodies)):
+            rng = np.random.default_rng((a, b))
+            found[a, b] = _always_touch(first, bodies[b], T_joint, lower, upper, rng)
+    keep(name, found)
+    return found
+
+
+def _name(kind: str, *arrays: Array) -> str:
+    """Of what is kept for certain arrays."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(str(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+    return f"{kind}-{digest.hexdigest()[:24]}"
 
 
 def _always_touch(
@@ -157,13 +183,11 @@ def distance_table(
     counts = [max(1, math.ceil((upper[k] - lower[k]) / NODE / COARSE)) * COARSE + 1 for k in (i, j)]
     if i == j:
         counts[0] = 1
-    reach = np.array(_reach(first, second, chain))
     starts, steps = np.array([lower[i], lower[j]]), np.array([NODE, NODE])
-    digest = hashlib.sha256(f"1 {NODE} {COARSE} {NEAR} {TABLE_UNIT} {counts}".encode())
-    for array in (first.corners, second.corners, chain, starts):
-        digest.update(np.ascontiguousarray(array).tobytes())
+    reach = _kept_reach(first, second, chain)
     shape = (counts[0], counts[1])
-    name = f"distances-1-{digest.hexdigest()[:24]}"
+    measures = np.array([NODE, COARSE, NEAR, TABLE_UNIT, *shape])
+    name = _name("distances-2", measures, first.corners, second.corners, chain, starts)
     known = kept(name)
     if known is not None and known.shape == shape and known.dtype == np.uint16:
         return DistanceTable((i, j), starts, steps, known.astype(np.uint16, copy=False), reach)
@@ -171,6 +195,17 @@ def distance_table(
     _fill(first.corners, second.corners, chain, starts, reach, distances)
     keep(name, distances)
     return DistanceTable((i, j), starts, steps, distances, reach)
+
+
+def _kept_reach(first: ConvexBody, second: ConvexBody, chain: Floats) -> Array:
+    """(2,) see `_reach`; kept in the cache folder."""
+    name = _name("reach-1", first.corners, second.corners, chain)
+    known = kept(name)
+    if known is not None and known.shape == (2,) and known.dtype == np.float64:
+        return known
+    found = np.array(_reach(first, second, chain))
+    keep(name, found)
+    return found
 
 
 def _reach(first: ConvexBody, second: ConvexBody, chain: Floats) -> tuple[float, float]:
