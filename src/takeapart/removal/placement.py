@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from takeapart.assembly import OVERLAP_TOLERANCE, Assembly
 from takeapart.errors import InputError
@@ -82,9 +81,11 @@ def overlap_depth(first: Array, second: Array) -> float:
     It is the distance of the origin from the surface of the Minkowski difference (Cameron, Culley: Determining the
     Minimum Translational Distance between Two Convex Polyhedra, ICRA 1986).
     """
-    if (first.min(axis=0) > second.max(axis=0)).any() or (second.min(axis=0) > first.max(axis=0)).any():
+    # Most bodies are apart along a side of the second one, which is a box, or from middle to middle.
+    likely = np.vstack([second - second[0], second.mean(axis=0) - first.mean(axis=0), np.eye(3)])
+    likely = np.vstack([likely, -likely])
+    if ((first @ likely.T).max(axis=0) < (second @ likely.T).min(axis=0)).any():
         return 0.0
-    first, second = first[ConvexHull(first).vertices], second[ConvexHull(second).vertices]
     normals = _facet_normals(first, second)
     # Along a direction n the second body has to move max(n a) - min(n b) to leave the first.
     shifts = (normals @ first.T).max(axis=1) - (normals @ second.T).min(axis=1)
@@ -93,6 +94,9 @@ def overlap_depth(first: Array, second: Array) -> float:
 
 def _facet_normals(first: Array, second: Array) -> Array:
     """Outward unit normals (F, 3) of the facets of the Minkowski difference."""
+    from scipy.spatial import ConvexHull  # takes longer to import than a small product to plan, and is rarely needed
+
+    first, second = first[ConvexHull(first).vertices], second[ConvexHull(second).vertices]
     difference = (first[:, None] - second).reshape(-1, 3)
     return np.asarray(ConvexHull(difference).equations[:, :3])
 
