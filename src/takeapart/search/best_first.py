@@ -93,8 +93,12 @@ def best_first(
     Returns:
         as `exact`; the statistic "weight" is the factor w of the last sweep that ended with a plan.
     """
-    log = Logbook(problem, budget, listen, observe)
-    bounds = bounds_of(problem)
+    return continue_best_first(Logbook(problem, budget, listen, observe), options, guide)
+
+
+def continue_best_first(log: Logbook, options: BestFirstOptions, guide: Guide | None = None) -> SearchResult:
+    """The same with a logbook that was opened before: its clock goes on."""
+    bounds = bounds_of(log.problem)
     interrupted = False
     with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
         search = _BestFirst(Orders(log, bounds, inquiry, options.batch, guide), options)
@@ -188,7 +192,8 @@ class _BestFirst:
         elif self.log.bound < self.log.best[0] - TOLERANCE:
             final = Sweep(self.orders, 1.0, lazy=False)
             with suppress(DeadEndError):
-                final.run(self.options.memory_limit, self.options.bound_states)
+                with suppress(BudgetSpentError):  # whenever it ends, what waits tells a bound
+                    final.run(self.options.memory_limit, self.options.bound_states)
                 self.raise_bound(final.least(), final.falls)
         self.log.report()
 

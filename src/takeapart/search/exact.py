@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from takeapart.errors import InputError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.bounds import EdgeBounds
-from takeapart.search.best_first import BestFirstOptions, best_first
+from takeapart.search.best_first import BestFirstOptions, continue_best_first
 from takeapart.search.inquiry import Edge, Inquiry, bounds_of, refusals_in
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
@@ -36,6 +36,7 @@ from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 
 MANY_STATES = 500_000
+SETTLED_SECONDS = 0.1  # at least, also beyond the limit, to tell what is settled
 
 SettledObserver = Callable[[int, int, float, int, Sequence[int], float, float], None]
 """Called as a `TransitionObserver`, then with the least and the greatest length, m, that the shortest sequence may have
@@ -95,7 +96,8 @@ def exact(
             `static_lower(part)` and `hindered_by` (see `enumerate_states`).
         budget: an episode is a round.
         guide: leads the first descent, and says which of several unknown edges is asked first.
-        observe_settled: is told in the end the known removals in all states of which the cost to the goal is known.
+        observe_settled: is told in the end the known removals in all states of which the cost to the goal is known; as
+            many of them as the time allows, those of large states first.
 
     Returns:
         best sequence, its length and `sequence_bound`; where there is no order, the statistic "infeasible" 1 and the
@@ -105,11 +107,13 @@ def exact(
     log = Logbook(problem, budget, listen, observe)
     interrupted = False
     try:
-        lattice = enumerate_states(problem, options.state_limit)
+        lattice = enumerate_states(problem, options.state_limit, log.clock.late)
     except KeyboardInterrupt:
         return log.result(interrupted=True)
+    if lattice is None:
+        return log.result(interrupted=False)
     if isinstance(lattice, TooLarge):
-        return best_first(problem, options.best_first, budget, listen, guide, observe)
+        return continue_best_first(log, options.best_first, guide)
     bounds = bounds_of(problem)
     with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
         search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
@@ -120,10 +124,13 @@ def exact(
         except KeyboardInterrupt:
             interrupted = True
     search.settle()
+    told_until = log.clock.seconds + SETTLED_SECONDS
     if observe_settled is not None:
         for row, edge, part, cost, least, most in search.sequences.settled_edges():
             state, following = lattice.state(row), lattice.state(int(lattice.child[edge]))
             observe_settled(state, part, -cost, following, problem.candidates(following), least, most)
+            if log.clock.late() and log.clock.seconds > told_until:
+                break
     return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
 
 
@@ -153,7 +160,8 @@ class _LazySearch:
             BudgetSpentError: that takes too long.
         """
         log = self.log
-        self.close_smallest_states()
+        if self.lattice.goal >= 0:  # else gravity and lifting alone allow no order, whatever the planner says
+            self.close_smallest_states()
         self.settle()
         if math.isinf(log.best[0]):
             self.descend()
