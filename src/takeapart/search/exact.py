@@ -105,29 +105,29 @@ def exact(
         which the gap was closed for the first time, "passes" those of the refinement.
     """
     log = Logbook(problem, budget, listen, observe)
+    search: _LazySearch | None = None
     interrupted = False
     try:
         lattice = enumerate_states(problem, options.state_limit, log.clock.late)
-    except KeyboardInterrupt:
-        return log.result(interrupted=True)
-    if lattice is None:
-        return log.result(interrupted=False)
-    if isinstance(lattice, TooLarge):
-        return continue_best_first(log, options.best_first, guide)
-    bounds = bounds_of(problem)
-    with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
-        search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
-        try:
+        if isinstance(lattice, TooLarge):
+            return continue_best_first(log, options.best_first, guide)
+        if lattice is None:
+            raise BudgetSpentError
+        bounds = bounds_of(problem)
+        with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
+            search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
             search.run()
-        except BudgetSpentError:
-            pass
-        except KeyboardInterrupt:
-            interrupted = True
+    except BudgetSpentError:
+        pass
+    except KeyboardInterrupt:
+        interrupted = True
+    if search is None:
+        return log.result(interrupted)
     search.settle()
     told_until = log.clock.seconds + SETTLED_SECONDS
     if observe_settled is not None:
         for row, edge, part, cost, least, most in search.sequences.settled_edges():
-            state, following = lattice.state(row), lattice.state(int(lattice.child[edge]))
+            state, following = search.lattice.state(row), search.lattice.state(int(search.lattice.child[edge]))
             observe_settled(state, part, -cost, following, problem.candidates(following), least, most)
             if log.clock.late() and log.clock.seconds > told_until:
                 break
@@ -148,9 +148,11 @@ class _LazySearch:
     ) -> None:
         self.log, self.lattice, self.bounds, self.inquiry = log, lattice, bounds, inquiry
         self.options, self.guide = options, guide
+        log.look_at_clock()
         edges = LatticeBounds(lattice, bounds)
         self.sequences = SequenceBounds(lattice, edges)
-        self.refinement = Refinement(lattice, bounds, edges, options.attempts, options.refinement)
+        self.refinement = Refinement(lattice, bounds, edges, options.attempts, options.refinement, log.look_at_clock)
+        log.look_at_clock()
         self.looked_twice: set[Edge] = set()
 
     def run(self) -> None:
@@ -190,7 +192,9 @@ class _LazySearch:
     def settle(self) -> None:
         """Bring bounds, best sequence and refusals up to date with all that was learned, and report."""
         log, sequences = self.log, self.sequences
+        started = log.clock.seconds
         sequences.update()
+        log.clock.reserve = max(log.clock.reserve, log.clock.seconds - started)  # the last one takes about as long
         if sequences.upper < log.best[0]:
             removals = [self.bounds.best(self.lattice.state(row), part) for row, _, part in sequences.best_known()]
             log.offer([each for each in removals if each is not None], found_episode=log.clock.episodes)

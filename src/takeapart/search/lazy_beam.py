@@ -14,7 +14,6 @@ from collections.abc import Callable
 
 from takeapart.search.inquiry import Edge
 from takeapart.search.lattice_bounds import TOLERANCE
-from takeapart.search.mcts import BudgetSpentError
 from takeapart.search.orders import Orders
 
 PATIENCE = 4  # at first a quarter of the open edges is asked at a time, in the end `batch` of them
@@ -56,8 +55,7 @@ def _best_sequence(orders: Orders, width: int, cost: Callable[[int, int], float]
     layer: dict[int, float] = {problem.root: 0.0}  # length so far beyond the least costs of the parts gone, m
     came_by: dict[int, Edge] = {}
     while layer and 0 not in layer:
-        if orders.log.clock.late():
-            raise BudgetSpentError
+        orders.log.look_at_clock()
         kept = sorted(layer, key=lambda state: (layer[state], state))[:width]
         following: dict[int, float] = {}
         for state in kept:

@@ -75,6 +75,11 @@ class Logbook:
             self.observe(state, part, -answer.length, following, self.problem.candidates(following))
         return answer
 
+    def look_at_clock(self) -> None:
+        """Raises BudgetSpentError if the time is over; for work that asks nothing."""
+        if self.clock.late():
+            raise BudgetSpentError
+
     def offer(self, removals: Sequence[Removal], **found_at: float) -> float:
         """Take note of a complete sequence; `found_at` goes to the statistics if it is the best. Returns its length."""
         length = sum(removal.length for removal in removals)
