@@ -132,7 +132,7 @@ def test_no_state_is_entered_twice(search: Search, monkeypatch: pytest.MonkeyPat
     remove = problem.remove
 
     def spy(state: int, part: int, effort: Effort) -> Removal | Blocked:
-        if effort is not SECOND_LOOK:  # of dead ends; the problem answers it for nothing
+        if effort != SECOND_LOOK:  # of dead ends; the problem answers it for nothing
             entered.append(state)
         return remove(state, part, effort)
 

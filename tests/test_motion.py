@@ -83,7 +83,7 @@ def tool_of(robot: RobotModel, q: Array) -> Array:
 def test_accepted_joint_edges_are_free_at_dense_samples(robot: RobotModel) -> None:
     """An edge is proved with half the step of slack: nothing on it comes nearer than the padding less that slack."""
     accepted = rejected = 0
-    for scene, rng in random_scenes(robot, 40, 1):
+    for scene, rng in random_scenes(robot, 60, 1):
         starts = free_configurations(scene, robot, 8, rng)
         for a in starts:
             b = a + rng.normal(size=robot.joints) * rng.choice([0.03, 0.1, 0.25])

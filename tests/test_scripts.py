@@ -31,6 +31,7 @@ SMALL: dict[str, tuple[str, str]] = {
     "redundancy": ("--assemblies 1 --grasps 10 --solutions 20", ""),
     "speed": ("--count 1", "benchmarks.md --write"),
     "teachers": ("{vanilla} --sets single --count 2 --folds 2 --steps 20", "guide.md --document"),
+    "time_limit": ("--seconds 0.5 --blocks 4 --sources single/01", "benchmarks.md --document"),
     "verify_all": (
         "--assemblies single/01 --random-seeds 1 --searches random greedy --processes 1 --out {folder}/verified",
         "verification.md --document",

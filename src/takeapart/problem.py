@@ -18,7 +18,7 @@ from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import QueryJournal, RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.reasons import Reasons
-from takeapart.removal.result import Blocked, Counts, Effort, Removal
+from takeapart.removal.result import Blocked, Counts, Effort, OutOfTimeError, Removal
 from takeapart.stability import Stability
 
 Guide = Callable[[Sequence[int]], Sequence[Mapping[int, float]]]
@@ -51,7 +51,11 @@ class Problem(Protocol):
         ...
 
     def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
-        """The removal query: the only dear call; counted."""
+        """The removal query: the only dear call; counted.
+
+        Raises:
+            OutOfTimeError: `effort.is_late` said so before there was an answer; nothing was counted or learned.
+        """
         ...
 
 
@@ -142,12 +146,15 @@ class AssemblyProblem:
         Returns:
             The shortest removal known after asking, if it is shorter than `effort.shorter_than`, else why there is
             none.
+
+        Raises:
+            OutOfTimeError: the time was over first; everything but the time is as if this had not been asked.
         """
         hindrance = self.hindrance(state, part)
         if hindrance is not None:
             return hindrance
         if effort.fresh:
-            return self._query(state, part, effort.shorter_than, effort.attempts)
+            return self._query(state, part, effort.shorter_than, effort.attempts, effort.is_late)
         known = self.edge_bounds.best(state, part)
         edge = (state, part)
         made = self._effort.get(edge, 0)
@@ -156,7 +163,7 @@ class AssemblyProblem:
         else:
             # A planner that looks only for less than it found is less likely to find it: no limit the second time.
             limit = math.inf if made else min(effort.shorter_than, known.length if known else math.inf)
-            found = self._query(state, part, limit, max(effort.attempts - made, 1))
+            found = self._query(state, part, limit, max(effort.attempts - made, 1), effort.is_late)
             refusal = None
             if isinstance(found, Removal):
                 self.edge_bounds.add_removal(found)
@@ -171,26 +178,40 @@ class AssemblyProblem:
             return known
         return refusal or Blocked(part, "path", 0)
 
-    def _query(self, state: int, part: int, limit: float, attempts: int) -> Removal | Blocked:
+    def _query(
+        self, state: int, part: int, limit: float, attempts: int, is_late: Callable[[], bool]
+    ) -> Removal | Blocked:
         with self._lock:
             self.counts.removal_queries += 1
             turn = self._asked.get((state, part), 0)
             self._asked[state, part] = turn + 1
         query = RemovalQuery(state, part, turn, attempts, limit)
+        try:
+            return self._answer(query, is_late)
+        except OutOfTimeError:
+            with self._lock:
+                self.counts.removal_queries -= 1
+                if self._asked[state, part] == turn + 1:
+                    self._asked[state, part] = turn  # asked again, it draws the same random numbers
+            raise
+
+    def _answer(self, query: RemovalQuery, is_late: Callable[[], bool]) -> Removal | Blocked:
         if self.journal is None:
-            return self._plan(query)
+            return self._plan(query, is_late)
         recorded = self.journal.recall(query)
         if recorded is not None:
             self.counts.motion_plans += recorded.motion_plans
             return recorded.answer
         assert isinstance(self.counts, ThreadCounts)
         before = self.counts.of_this_thread
-        answer = self._plan(query)
+        answer = self._plan(query, is_late)
         self.journal.record(query, RecordedAnswer(answer, self.counts.of_this_thread - before))
         return answer
 
-    def _plan(self, query: RemovalQuery) -> Removal | Blocked:
+    def _plan(self, query: RemovalQuery, is_late: Callable[[], bool]) -> Removal | Blocked:
         state, part = query.state, query.part
         words = [state >> shift & 0xFFFFFFFF for shift in range(0, max(state.bit_length(), 1), 32)]
         rng = np.random.default_rng([self.seed, part, query.turn, *words])
-        return self.planner.plan(part, state, rng=rng, shorter_than=query.shorter_than, attempts=query.attempts)
+        return self.planner.plan(
+            part, state, rng=rng, shorter_than=query.shorter_than, attempts=query.attempts, is_late=is_late
+        )

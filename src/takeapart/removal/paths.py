@@ -1,7 +1,7 @@
 """Paths from the lifted part to the goal, over all grasps: straight legs first, then trees, then shortening.
 
 One `PathSearch` is one attempt of a removal query. Grasps are visited in the order of what they could gain, and left as
-soon as they cannot beat the best path found.
+soon as they cannot beat the best path found. Once the time is over, it ends with OutOfTimeError before its next step.
 """
 
 from __future__ import annotations
@@ -123,7 +123,6 @@ class PathSearch:
     ) -> None:
         self.situation, self.options, self.lift, self.goal, self.rng = situation, options, lift, goal, rng
         self.hands, self.others = situation.hands, situation.others
-        self.motion_plans = 0
         self._tolerance = options.first_tolerance if math.isinf(shorter_than) else options.tolerance
 
     def open_grasps(self, limit: float) -> list[int]:
@@ -183,6 +182,7 @@ class PathSearch:
                 yield estimate, number, known[hand.place]
                 continue
             if hand.place not in known:
+                self.situation.look_at_clock()
                 samples = self.options.bend_samples
                 known[hand.place] = Bends(self.situation, hand, self.goal, samples, longest, self._seed())
             if self.situation.is_line_open(number):
@@ -192,7 +192,7 @@ class PathSearch:
 
     def _leg(self, number: int, via: Bends, longest: float) -> Path | None:
         """A path that is straight for the tool, or else one of two straight legs, shortened a little."""
-        self.motion_plans += 1
+        self.situation.motion_plans += 1
         options, situation = self.options, self.situation
         if situation.is_line_open(number):
             rows = situation.straight_leg(number, options.straight_attempts, options.waypoint_spacing)
@@ -201,6 +201,7 @@ class PathSearch:
         goals = situation.free_goals(number, options.tree_goals)
         if not len(goals):
             return None
+        situation.look_at_clock()
         rows = two_legs(
             situation.scene(number),
             situation.lifted(number),
@@ -251,12 +252,13 @@ class PathSearch:
 
     def _tree(self, number: int, longest: float) -> Path | None:
         """A path by RRT-Connect, shortened a little."""
-        self.motion_plans += 1
+        self.situation.motion_plans += 1
         options, scene = self.options, self.situation.scene(number)
         goals = self.situation.free_goals(number, options.tree_goals)
         if not len(goals):
             return None
         lifted = self.situation.lifted(number)
+        self.situation.look_at_clock()
         corners = rrt_connect(scene, lifted, goals, options.tree_iterations, options.tree_stride, self._seed())
         rows = waypoints(scene, corners, options.waypoint_spacing) if len(corners) else corners
         if not len(rows):
@@ -265,6 +267,7 @@ class PathSearch:
 
     def _shortened(self, path: Path, moves: int, longest: float) -> Path:
         options = self.options
+        self.situation.look_at_clock()
         rows = shorten(
             self.situation.scene(path.number),
             path.rows,

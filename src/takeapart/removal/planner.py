@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
 from takeapart.removal.placement import require_placement, require_reached_goal
 from takeapart.removal.reach import Reach
-from takeapart.removal.result import Blocked, Counts, Removal
+from takeapart.removal.result import Blocked, Counts, Removal, never
 from takeapart.removal.situation import Situation
 from takeapart.robot.arrays import Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
@@ -120,7 +120,14 @@ class RemovalPlanner:
         return math.fsum(volume_bound(self.assembly.parts[each.part], lift, goal) for each in removals)
 
     def plan(
-        self, part: int, state: int, *, rng: np.random.Generator, shorter_than: float = math.inf, attempts: int = 1
+        self,
+        part: int,
+        state: int,
+        *,
+        rng: np.random.Generator,
+        shorter_than: float = math.inf,
+        attempts: int = 1,
+        is_late: Callable[[], bool] = never,
     ) -> Removal | Blocked:
         """The shortest removal of a part in a state that this planner finds.
 
@@ -131,10 +138,14 @@ class RemovalPlanner:
             shorter_than: only something shorter is of interest, m.
             attempts: how often it is planned; the shortest is returned. Where four found nothing, and nothing shorter
                 is asked for, further ones grow trees five times as large.
+            is_late: whether the time is over; looked at between the steps of planning.
 
         Returns:
             The removal, or why there is none: stage and blamed parts. With a finite `shorter_than` a refusal at stage
             "path" may only mean that nothing shorter was found.
+
+        Raises:
+            OutOfTimeError: the time was over first.
         """
         others = state & ~(1 << part)
         if not self.is_graspable(part):
@@ -153,6 +164,7 @@ class RemovalPlanner:
             self._padding,
             self.options.check_step,
             self.workspace(),
+            is_late,
         )
         best: Removal | Blocked | None = None
         limit = shorter_than
@@ -167,6 +179,8 @@ class RemovalPlanner:
                     break
             elif best is None or (isinstance(best, Blocked) and found.stage == "path"):
                 best = found
+        with self._lock:
+            self.counts.motion_plans += situation.motion_plans
         assert best is not None  # attempts >= 1
         return best
 
@@ -183,8 +197,6 @@ class RemovalPlanner:
             removal = self._finish(situation, search.polished(path))
             if removal is not None and (best is None or removal.length < best.length):
                 best = removal
-        with self._lock:
-            self.counts.motion_plans += search.motion_plans
         return best if best is not None else self._refusal(situation, open_)
 
     def _refusal(self, situation: Situation, open_: list[int]) -> Blocked:
@@ -204,6 +216,7 @@ class RemovalPlanner:
 
     def _finish(self, situation: Situation, path: Path) -> Removal | None:
         """Joins lift and path, and finds the blockers of the whole motion; None if the motion does not hold."""
+        situation.look_at_clock()
         part, others = situation.part, situation.others
         place = int((situation.lifted(path.number) == path.rows[0]).all(axis=1).argmax())
         branch = situation.branches(path.number)[place]

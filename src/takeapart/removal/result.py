@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Literal
 
 from takeapart.geometry import Array
@@ -53,6 +54,15 @@ class Blocked:
     blamed: int
 
 
+class OutOfTimeError(Exception):
+    """Leaves a query whose time is over: it has no answer, and nothing of it is kept. No search lets it out."""
+
+
+def never() -> bool:
+    """Time is not limited."""
+    return False
+
+
 @dataclass(frozen=True)
 class Effort:
     """How hard to try.
@@ -61,11 +71,14 @@ class Effort:
         attempts: how often the removal is planned, with different random seeds; the shortest is kept (k of Sec. V-B).
         shorter_than: only a removal shorter than this is of interest, m.
         fresh: ignore the removal library and keep nothing in it (the paper's simulation step).
+        is_late: whether the time is over; looked at again and again while the removal is planned. What it cuts off is
+            no refusal: the query raises OutOfTimeError.
     """
 
     attempts: int = 1
     shorter_than: float = math.inf
     fresh: bool = False
+    is_late: Callable[[], bool] = field(default=never, compare=False, repr=False)
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +12,7 @@ from takeapart.motion.legs import one_leg
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.reach import Hand, LiftBranch, Reach
+from takeapart.removal.result import OutOfTimeError, never
 from takeapart.robot.arrays import Flags, Workspace, WorldArrays
 from takeapart.robot.kinematics import tool_steps
 from takeapart.robot.model import RobotModel
@@ -27,6 +29,10 @@ class Situation:
         padding: distance kept, m.
         step: see `Scene`, m.
         work: of the thread that plans.
+        is_late: whether the time is over.
+
+    Attributes:
+        motion_plans: calls of a path planner for one grasp so far.
     """
 
     def __init__(
@@ -41,17 +47,26 @@ class Situation:
         padding: float,
         step: float,
         work: Workspace,
+        is_late: Callable[[], bool] = never,
     ) -> None:
         self.robot, self.reach, self.goals, self.part, self.others = robot, reach, goals, part, others
         self.present, self.world, self.padding, self.step, self.work = present, world, padding, step, work
+        self.motion_plans = 0
+        self._is_late = is_late
         self._scenes: dict[int, Scene] = {}
         self._branches: dict[int, tuple[LiftBranch, ...]] = {}
         self._free_goals: dict[tuple[int, int], Array] = {}
         self._straight_legs: dict[tuple[int, int, float], Array] = {}
 
+    def look_at_clock(self) -> None:
+        """Raises OutOfTimeError if the time is over; stands before whatever may take some milliseconds."""
+        if self._is_late():
+            raise OutOfTimeError
+
     @cached_property
     def hands(self) -> tuple[Hand, ...]:
         """All grasps of the part; elsewhere they go by their numbers in this order."""
+        self.look_at_clock()
         return self.reach.hands(self.part, self.work)
 
     @property
@@ -62,6 +77,7 @@ class Situation:
     def branches(self, number: int) -> tuple[LiftBranch, ...]:
         """The arm's ways to hold and lift the part with a grasp in this state."""
         if number not in self._branches:
+            self.look_at_clock()
             self._branches[number] = self.reach.branches(self.part, number, self.others, self.work)
         return self._branches[number]
 
@@ -87,6 +103,7 @@ class Situation:
         """Rows (M, n) of a tool-straight path to the goal with a grasp that has branches; (0, n) if there is none."""
         key = number, attempts, spacing
         if key not in self._straight_legs:
+            self.look_at_clock()
             near = self.goals.neighbours(self.branches(number), self.work)
             hand = self.hands[number]
             starts, ends = self.goals.free_pairs(near, self.part, hand, self.others, attempts, self.work)
@@ -97,6 +114,7 @@ class Situation:
         """The free goal configurations (B, n) nearest to where the lifts with a grasp end."""
         key = number, most
         if key not in self._free_goals:
+            self.look_at_clock()
             near = self.goals.neighbours(self.branches(number), self.work)
             hand = self.hands[number]
             self._free_goals[key] = self.goals.free(near, self.part, hand, self.others, most, self.work)

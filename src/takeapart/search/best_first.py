@@ -10,8 +10,9 @@ improve the plan; what earlier sweeps asked for is free.
 Which bounds are proofs: as in `exact`, `sequence_bound` is relative to what the planner finds (see there). It is the
 greatest of four: h at the root; length / w after a sweep that came to its end; the least g + h of all states that wait
 in the sweep with w = 1; and the same of a sweep with w = 1 that takes every edge at its lower bound and asks
-nothing, which is run when the others are done or the budget is spent. The second and third hold only if no closed cost
-fell meanwhile, and are dropped otherwise. Lazy beams give plans, never bounds.
+nothing, which is run when the others are done or the budget is spent; of a limited time a tenth is kept for it. The
+second and third hold only if no closed cost fell meanwhile, and are dropped otherwise. Lazy beams give plans, never
+bounds.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ from takeapart.search.mcts import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentErro
 from takeapart.search.orders import DeadEndError, Orders
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 from takeapart.search.sweep import Sweep
+
+BOUND_SHARE = 0.1  # of a limited time, kept for the final sweep
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,14 @@ def best_first(
     Returns:
         as `exact`; the statistic "weight" is the factor w of the last sweep that ended with a plan.
     """
-    log = Logbook(problem, budget, listen, observe)
-    bounds = bounds_of(problem)
+    return continue_best_first(Logbook(problem, budget, listen, observe), options, guide)
+
+
+def continue_best_first(log: Logbook, options: BestFirstOptions, guide: Guide | None = None) -> SearchResult:
+    """The same with a logbook that was opened before: its clock goes on."""
+    if math.isfinite(log.clock.budget.seconds):
+        log.clock.reserve = BOUND_SHARE * log.clock.budget.seconds
+    bounds = bounds_of(log.problem)
     interrupted = False
     with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
         search = _BestFirst(Orders(log, bounds, inquiry, options.batch, guide), options)
@@ -188,7 +197,8 @@ class _BestFirst:
         elif self.log.bound < self.log.best[0] - TOLERANCE:
             final = Sweep(self.orders, 1.0, lazy=False)
             with suppress(DeadEndError):
-                final.run(self.options.memory_limit, self.options.bound_states)
+                with suppress(BudgetSpentError):  # whenever it ends, what waits tells a bound
+                    final.run(self.options.memory_limit, self.options.bound_states)
                 self.raise_bound(final.least(), final.falls)
         self.log.report()
 

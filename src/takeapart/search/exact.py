@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from takeapart.errors import InputError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.bounds import EdgeBounds
-from takeapart.search.best_first import BestFirstOptions, best_first
+from takeapart.search.best_first import BestFirstOptions, continue_best_first
 from takeapart.search.inquiry import Edge, Inquiry, bounds_of, refusals_in
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
@@ -36,6 +36,7 @@ from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
 
 MANY_STATES = 500_000
+SETTLED_SECONDS = 0.1  # at least, also beyond the limit, to tell what is settled
 
 SettledObserver = Callable[[int, int, float, int, Sequence[int], float, float], None]
 """Called as a `TransitionObserver`, then with the least and the greatest length, m, that the shortest sequence may have
@@ -95,7 +96,8 @@ def exact(
             `static_lower(part)` and `hindered_by` (see `enumerate_states`).
         budget: an episode is a round.
         guide: leads the first descent, and says which of several unknown edges is asked first.
-        observe_settled: is told in the end the known removals in all states of which the cost to the goal is known.
+        observe_settled: is told in the end the known removals in all states of which the cost to the goal is known; as
+            many of them as the time allows, those of large states first.
 
     Returns:
         best sequence, its length and `sequence_bound`; where there is no order, the statistic "infeasible" 1 and the
@@ -103,27 +105,32 @@ def exact(
         which the gap was closed for the first time, "passes" those of the refinement.
     """
     log = Logbook(problem, budget, listen, observe)
+    search: _LazySearch | None = None
     interrupted = False
     try:
-        lattice = enumerate_states(problem, options.state_limit)
-    except KeyboardInterrupt:
-        return log.result(interrupted=True)
-    if isinstance(lattice, TooLarge):
-        return best_first(problem, options.best_first, budget, listen, guide, observe)
-    bounds = bounds_of(problem)
-    with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
-        search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
-        try:
+        lattice = enumerate_states(problem, options.state_limit, log.clock.late)
+        if isinstance(lattice, TooLarge):
+            return continue_best_first(log, options.best_first, guide)
+        if lattice is None:
+            raise BudgetSpentError
+        bounds = bounds_of(problem)
+        with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
+            search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
             search.run()
-        except BudgetSpentError:
-            pass
-        except KeyboardInterrupt:
-            interrupted = True
+    except BudgetSpentError:
+        pass
+    except KeyboardInterrupt:
+        interrupted = True
+    if search is None:
+        return log.result(interrupted)
     search.settle()
+    told_until = log.clock.seconds + SETTLED_SECONDS
     if observe_settled is not None:
         for row, edge, part, cost, least, most in search.sequences.settled_edges():
-            state, following = lattice.state(row), lattice.state(int(lattice.child[edge]))
+            state, following = search.lattice.state(row), search.lattice.state(int(search.lattice.child[edge]))
             observe_settled(state, part, -cost, following, problem.candidates(following), least, most)
+            if log.clock.late() and log.clock.seconds > told_until:
+                break
     return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
 
 
@@ -141,9 +148,11 @@ class _LazySearch:
     ) -> None:
         self.log, self.lattice, self.bounds, self.inquiry = log, lattice, bounds, inquiry
         self.options, self.guide = options, guide
+        log.look_at_clock()
         edges = LatticeBounds(lattice, bounds)
         self.sequences = SequenceBounds(lattice, edges)
-        self.refinement = Refinement(lattice, bounds, edges, options.attempts, options.refinement)
+        self.refinement = Refinement(lattice, bounds, edges, options.attempts, options.refinement, log.look_at_clock)
+        log.look_at_clock()
         self.looked_twice: set[Edge] = set()
 
     def run(self) -> None:
@@ -153,7 +162,8 @@ class _LazySearch:
             BudgetSpentError: that takes too long.
         """
         log = self.log
-        self.close_smallest_states()
+        if self.lattice.goal >= 0:  # else gravity and lifting alone allow no order, whatever the planner says
+            self.close_smallest_states()
         self.settle()
         if math.isinf(log.best[0]):
             self.descend()
@@ -182,7 +192,9 @@ class _LazySearch:
     def settle(self) -> None:
         """Bring bounds, best sequence and refusals up to date with all that was learned, and report."""
         log, sequences = self.log, self.sequences
+        started = log.clock.seconds
         sequences.update()
+        log.clock.reserve = max(log.clock.reserve, log.clock.seconds - started)  # the last one takes about as long
         if sequences.upper < log.best[0]:
             removals = [self.bounds.best(self.lattice.state(row), part) for row, _, part in sequences.best_known()]
             log.offer([each for each in removals if each is not None], found_episode=log.clock.episodes)

@@ -14,7 +14,7 @@ from types import TracebackType
 from takeapart.assembly import members
 from takeapart.problem import Problem
 from takeapart.removal.bounds import EdgeBounds
-from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal
 from takeapart.search.lattice import hindrances
 from takeapart.search.mcts import BudgetSpentError, Logbook
 
@@ -62,10 +62,16 @@ class Inquiry:
         room = clock.budget.queries - clock.queries
         asked = [edge for i, edge in enumerate(edges) if i < room]
         each = [attempts or self._attempts] * len(edges) if isinstance(attempts, int | None) else attempts
-        efforts = [Effort(number, self._bounds.upper(*edge)) for edge, number in zip(asked, each, strict=False)]
+        efforts = [
+            Effort(number, self._bounds.upper(*edge), is_late=clock.late)
+            for edge, number in zip(asked, each, strict=False)
+        ]
         if self._pool is None:
             for edge, effort in zip(asked, efforts, strict=True):
-                self._book(edge, self._query(edge, effort))
+                answer = self._query(edge, effort)
+                if answer is None:
+                    raise BudgetSpentError
+                self._book(edge, answer)
             return
         futures = [self._pool.submit(self._query, edge, effort) for edge, effort in zip(asked, efforts, strict=True)]
         try:
@@ -74,27 +80,30 @@ class Inquiry:
             self._salvage(asked, futures)
             raise
         for edge, answer in zip(asked, answers, strict=True):
-            self._book(edge, answer)
+            if answer is not None:
+                self._book(edge, answer)
+        if None in answers:
+            raise BudgetSpentError
 
     def _query(self, edge: Edge, effort: Effort) -> Removal | Blocked | None:
+        """The planner's answer; None where the time was over before there was one."""
         # Not clock.spent(): while threads are asking, the count of queries depends on their timing.
         clock = self._log.clock
         if self._cancelled or clock.late():
             return None
-        return self._log.problem.remove(*edge, effort)
+        try:
+            return self._log.problem.remove(*edge, effort)
+        except OutOfTimeError:
+            return None
 
     def _salvage(self, edges: Sequence[Edge], futures: Sequence[Future[Removal | Blocked | None]]) -> None:
         """After Ctrl-C or an error: let running queries end, drop the waiting ones, book what was answered."""
         self._cancelled = True
         for edge, future in zip(edges, futures, strict=True):
-            if not future.cancel() and future.exception() is None:
-                self._book(edge, future.result(), late=True)
+            if not future.cancel() and future.exception() is None and (answer := future.result()) is not None:
+                self._book(edge, answer)
 
-    def _book(self, edge: Edge, answer: Removal | Blocked | None, late: bool = False) -> None:
-        if answer is None:
-            if late:
-                return
-            raise BudgetSpentError
+    def _book(self, edge: Edge, answer: Removal | Blocked) -> None:
         state, part = edge
         if isinstance(answer, Removal):
             self._bounds.add_removal(answer)

@@ -19,6 +19,7 @@ from takeapart.assembly import members
 from takeapart.compilation import compiled
 from takeapart.errors import InputError
 from takeapart.problem import Problem
+from takeapart.removal.result import never
 
 Words = NDArray[np.uint64]
 Numbers = NDArray[np.int64]
@@ -106,7 +107,7 @@ def hindrances(problem: Problem) -> Sequence[int] | None:
     return masks
 
 
-def enumerate_states(problem: Problem, limit: int) -> Lattice | TooLarge:
+def enumerate_states(problem: Problem, limit: int, is_late: Callable[[], bool] = never) -> Lattice | TooLarge | None:
     """All states reachable from the root by `candidates`.
 
     Where the problem has `hindered_by` (part p may leave state s if `hindered_by[p] & s == 0`), the enumeration is
@@ -114,6 +115,10 @@ def enumerate_states(problem: Problem, limit: int) -> Lattice | TooLarge:
 
     Args:
         limit: of the number of states.
+        is_late: whether the time is over; looked at between layers.
+
+    Returns:
+        None where the time was over first.
 
     Raises:
         InputError: a limit below 1 or too high for 32-bit edge numbers.
@@ -129,6 +134,9 @@ def enumerate_states(problem: Problem, limit: int) -> Lattice | TooLarge:
             return _expand_by_asking(problem, parts, layer, room)
 
     else:
+        free = sum(not masks[part] & problem.root for part in parts)
+        if 2**free > limit:  # parts that may leave at once leave in any order: each subset of them is a state
+            return TooLarge(limit)
         hindered = np.array([pack(masks[part], parts) for part in parts], dtype=np.uint64).reshape(len(parts), -1)
 
         def expand(layer: Words, room: int) -> _Layer | None:
@@ -138,6 +146,8 @@ def enumerate_states(problem: Problem, limit: int) -> Lattice | TooLarge:
     edges: list[_Layer] = []
     total = 1
     while True:
+        if is_late():
+            return None
         found = expand(layers[-1], limit - total)
         if found is None:
             return TooLarge(limit)

@@ -161,13 +161,12 @@ class SequenceBounds:
 
         Those with fewest parts first, at most `limit`.
         """
-        found: list[int] = []
-        for row in np.nonzero(np.isfinite(self._from_root(self._all_rows)))[0][::-1]:
-            lower = [self._edges.lower[edge] for edge in self._lattice.edges(int(row))]
-            if row != self._lattice.goal and all(math.isinf(bound) for bound in lower):
-                found.append(int(row))
-                if len(found) == limit:
-                    break
+        open_before = np.concatenate([[0], np.cumsum(np.isfinite(self._edges.lower))])  # edges, of those before each
+        open_edges = np.diff(open_before[self._lattice.first_edge])
+        dead = np.isfinite(self._from_root(self._all_rows)) & (open_edges == 0)
+        if self._lattice.goal >= 0:
+            dead[self._lattice.goal] = False
+        found: list[int] = np.flatnonzero(dead)[::-1][:limit].tolist()
         return found
 
     def settled_edges(self) -> Iterator[tuple[int, int, int, float, float, float]]:

@@ -45,12 +45,17 @@ def lazy_beam(orders: Orders, width: int) -> None:
 
 
 def _best_sequence(orders: Orders, width: int, cost: Callable[[int, int], float]) -> tuple[float, list[Edge]]:
-    """Length, m, and edges of the best sequence in the beam; infinite and empty if all ended dead."""
+    """Length, m, and edges of the best sequence in the beam; infinite and empty if all ended dead.
+
+    Raises:
+        BudgetSpentError: the seconds are over.
+    """
     problem = orders.log.problem
     least = orders.least_costs()
     layer: dict[int, float] = {problem.root: 0.0}  # length so far beyond the least costs of the parts gone, m
     came_by: dict[int, Edge] = {}
     while layer and 0 not in layer:
+        orders.log.look_at_clock()
         kept = sorted(layer, key=lambda state: (layer[state], state))[:width]
         following: dict[int, float] = {}
         for state in kept:

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.problem import Guide, Problem
-from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal
 from takeapart.search.result import Budget, Clock, Progress, ProgressListener, SearchResult
 
 MAXIMUM_REFUSALS = 10  # dead ends in a result; enough to explain a failure, few enough to read
@@ -59,14 +59,26 @@ class Logbook:
         self.statistics: dict[str, float] = {}
 
     def ask(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
-        """The removal query. Raises BudgetSpentError instead of asking once the budget is spent."""
+        """The removal query.
+
+        Raises:
+            BudgetSpentError: nothing was asked because the budget is spent, or the time was over before the answer.
+        """
         if self.clock.spent():
             raise BudgetSpentError
-        answer = self.problem.remove(state, part, effort)
+        try:
+            answer = self.problem.remove(state, part, replace(effort, is_late=self.clock.late))
+        except OutOfTimeError:
+            raise BudgetSpentError from None
         if self.observe is not None and isinstance(answer, Removal):
             following = state & ~(1 << part)
             self.observe(state, part, -answer.length, following, self.problem.candidates(following))
         return answer
+
+    def look_at_clock(self) -> None:
+        """Raises BudgetSpentError if the time is over; for work that asks nothing."""
+        if self.clock.late():
+            raise BudgetSpentError
 
     def offer(self, removals: Sequence[Removal], **found_at: float) -> float:
         """Take note of a complete sequence; `found_at` goes to the statistics if it is the best. Returns its length."""

@@ -14,6 +14,7 @@ try will change counts as planned again: refusals because no hand or arm gets at
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,14 +53,18 @@ class RefinementOptions:
 class Hopes:
     """(E,) what every edge may fall to, m, in place of `lower`; `upper` as it is."""
 
-    def __init__(self, known: LatticeBounds, settled: LatticeBounds, optimism: float) -> None:
-        self._known, self._settled, self._optimism = known, settled, optimism
+    def __init__(
+        self, known: LatticeBounds, settled: LatticeBounds, optimism: float, look_at_clock: Callable[[], None]
+    ) -> None:
+        self._known, self._settled, self._optimism, self._look_at_clock = known, settled, optimism, look_at_clock
         self.lower: Values = np.zeros(0)
         self.upper: Values = known.upper
 
     def update(self) -> tuple[bool, bool]:
         """See `EdgeCosts`."""
+        self._look_at_clock()
         self._settled.update()
+        self._look_at_clock()
         known, settled = self._known.lower, np.minimum(self._settled.lower, self._known.upper)
         # Where the part is known to be blocked, but not beyond doubt, nothing speaks against the other bound.
         doubted = np.isfinite(known)
@@ -76,13 +81,21 @@ class Refinement:
     Args:
         known: the bounds of the search, up to date whenever this is asked.
         attempts: of the first query of every edge.
+        look_at_clock: raises where the time is over; with millions of edges even a pass that asks nothing takes
+            seconds.
     """
 
     def __init__(
-        self, lattice: Lattice, bounds: EdgeBounds, known: LatticeBounds, attempts: int, options: RefinementOptions
+        self,
+        lattice: Lattice,
+        bounds: EdgeBounds,
+        known: LatticeBounds,
+        attempts: int,
+        options: RefinementOptions,
+        look_at_clock: Callable[[], None] = lambda: None,
     ) -> None:
         self._lattice, self._bounds, self._known = lattice, bounds, known
-        self._attempts, self._options = attempts, options
+        self._attempts, self._options, self._look_at_clock = attempts, options, look_at_clock
         self._tries: dict[Edge, int] = {}  # of edges that this planned; all other closed ones had one
         self._planned: set[Edge] = set()  # in this pass
         self._asked: list[Edge] = []
@@ -103,6 +116,7 @@ class Refinement:
             count: at most so many, of different parts.
             queries: that the search has asked so far.
         """
+        self._look_at_clock()
         self._take_in(self._asked)
         self._asked = []
         while not self._asked and (self._sequences is not None or self._begin(length, queries)):
@@ -132,7 +146,8 @@ class Refinement:
         self._started_at, self._queries = length, queries
         self._planned.clear()
         self._settled = LatticeBounds(self._lattice, self._bounds, self._is_settled)
-        self._sequences = SequenceBounds(self._lattice, Hopes(self._known, self._settled, self._options.optimism))
+        hopes = Hopes(self._known, self._settled, self._options.optimism, self._look_at_clock)
+        self._sequences = SequenceBounds(self._lattice, hopes)
         return True
 
     def _is_settled(self, part: int, closed: ClosedEdge) -> bool:

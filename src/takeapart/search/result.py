@@ -33,12 +33,17 @@ class Budget:
 
 
 class Clock:
-    """Tells when a budget is spent. `stop` ends the search from outside, as Ctrl-C does."""
+    """Tells when a budget is spent. `stop` ends the search from outside, as Ctrl-C does.
+
+    Attributes:
+        reserve: of the seconds, those that are kept for what follows the search: bringing its bound up to date.
+    """
 
     def __init__(self, budget: Budget, counts: Counts) -> None:
         self.budget, self.counts = budget, counts
         self.started, self.first_query, self.episodes = time.monotonic(), counts.removal_queries, 0
         self.stop = False
+        self.reserve = 0.0
 
     @property
     def seconds(self) -> float:
@@ -52,7 +57,13 @@ class Clock:
         return self.late() or self.episodes >= self.budget.episodes or self.queries >= self.budget.queries
 
     def late(self) -> bool:
-        """Whether the seconds are over or the search was stopped: what ends work that asks nothing."""
+        """Whether the seconds but the reserve are over, or the search was stopped: ends queries, and work that asks
+        nothing.
+        """
+        return self.stop or self.seconds >= self.budget.seconds - self.reserve
+
+    def over(self) -> bool:
+        """Whether all seconds are over, or the search was stopped."""
         return self.stop or self.seconds >= self.budget.seconds
 
 

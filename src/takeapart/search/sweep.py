@@ -10,8 +10,6 @@ from takeapart.search.lattice_bounds import TOLERANCE
 from takeapart.search.mcts import BudgetSpentError
 from takeapart.search.orders import Orders
 
-TURNS_BETWEEN_LOOKS = 256  # at the clock: where every edge is known, a sweep asks nothing that would end it
-
 
 class _Waiting(NamedTuple):
     """An entry of the priority queue: the state that is reached by one edge.
@@ -63,11 +61,10 @@ class Sweep:
             BudgetSpentError: the seconds are over; what waits is still there for `least`.
         """
         log = self.orders.log
-        expanded = turns = 0
+        expanded = 0
         while self.waiting:
-            if self.lazy and turns % TURNS_BETWEEN_LOOKS == 0 and log.clock.late():
+            if log.clock.late() if self.lazy else log.clock.over():  # a sweep may go on for long without a query
                 raise BudgetSpentError
-            turns += 1
             self.in_hand = [heappop(self.waiting)]
             entry = self.in_hand[0]
             if entry.rank >= log.best[0] - TOLERANCE:
