@@ -206,6 +206,18 @@ class PlanScene:
         return placed
 
     @cached_property
+    def reached(self) -> Array:
+        """Points (P, 3), m, that arm and held parts reach: at rest, and at the beginning, middle and end of every
+        path."""
+        links = [self.robot.poses(self.workcell.home, 0.0)[:, :3, 3]]
+        for step in range(len(self.steps)):
+            for fraction in (0.0, 0.5, 1.0):
+                moment = self.moment(step, fraction)
+                links.append(self.robot.poses(moment.configuration, 0.0)[:, :3, 3])
+                links += [box.moved(moment.T_world_held).corners() for box in self.assembly.body(moment.held)[:1]]
+        return np.vstack(links)
+
+    @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Least and greatest coordinates (3,) of the assembly, m."""
         corners = np.concatenate(
@@ -307,7 +319,7 @@ def view_of(scene: PlanScene, name: str = "corner", robot: bool = True, aspect: 
     points = corners
     if robot:
         base, goal = scene.workcell.T_world_base[:3, 3], scene.workcell.goal
-        points = np.vstack([corners, base, goal, _reached(scene)])
+        points = np.vstack([corners, base, goal, scene.reached])
         if name == "corner":  # across the line from the arm to the assembly, from the goal's side
             toward = math.atan2(*(middle - base)[1::-1])
             side = math.copysign(1.0, float(np.cross(middle - base, goal - base)[2]))
@@ -323,17 +335,6 @@ def view_of(scene: PlanScene, name: str = "corner", robot: bool = True, aspect: 
     depth = offset @ direction
     sideways = np.maximum(np.abs(offset @ up) / tangent_v, np.abs(offset @ right) / tangent_h)
     return View(target, direction, 1.08 * float((sideways - depth).max()), field)
-
-
-def _reached(scene: PlanScene) -> Array:
-    """Points (P, 3), m, that arm and held parts reach: at rest, and at the beginning, middle and end of every path."""
-    links = [scene.robot.poses(scene.workcell.home, 0.0)[:, :3, 3]]
-    for step in range(len(scene.steps)):
-        for fraction in (0.0, 0.5, 1.0):
-            moment = scene.moment(step, fraction)
-            links.append(scene.robot.poses(moment.configuration, 0.0)[:, :3, 3])
-            links += [box.moved(moment.T_world_held).corners() for box in scene.assembly.body(moment.held)[:1]]
-    return np.vstack(links)
 
 
 def _middle(points: Array, right: Array, up: Array, direction: Array) -> Array:
