@@ -26,7 +26,7 @@ from takeapart.errors import InputError
 if TYPE_CHECKING:
     from takeapart.render import Image
 
-VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.render_scene.DIRECTIONS, without its imports
+VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.render_view.DIRECTIONS, without its imports
 
 
 @click.command(
@@ -91,7 +91,7 @@ def render(
         raise click.UsageError("--sheet and --step make a .png; an animation shows all steps")
     require_output(out, file)
 
-    from takeapart.render import Renderer, RenderOptions, animation
+    from takeapart.render import Renderer, RenderOptions, animation, chosen_view
     from takeapart.render_output import captioned, contact_sheet, save_animation, save_png
     from takeapart.render_scene import PlanScene
     from takeapart.render_subject import load_subject
@@ -122,7 +122,9 @@ def render(
 
             save_animation(drawn(), out, fps)
         else:
-            with Renderer(scene, options) as renderer:
+            moment = None if step is None else scene.moment(order[step - 1], at)
+            shown_moments = None if moment is None else [moment]
+            with Renderer(scene, options, chosen_view(scene, options, shown_moments)) as renderer:
                 if sheet:
                     images = []
                     for number, k in enumerate(order):
@@ -133,7 +135,6 @@ def render(
                         title += f", {metres(subject.plan.total_length)}"
                     save_png(contact_sheet(images, captions, title), out)
                 else:
-                    moment = None if step is None else scene.moment(order[step - 1], at)
                     picture = renderer.picture(moment)
                     save_png(picture if step is None else captioned(picture, captions[step - 1]), out)
     if as_json:

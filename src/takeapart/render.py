@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from takeapart.errors import MissingExtraError, TakeapartError
 from takeapart.geometry import Array, quaternion_from_rotation
 from takeapart.render_model import PICTURE, RenderOptions, compiled_model
-from takeapart.render_scene import CURRENT, PATH, Moment, PlanScene, View, darker, rgb, view_of
+from takeapart.render_scene import CURRENT, PATH, Moment, PlanScene, darker, rgb
+from takeapart.render_view import View, view_of
 
 try:
     import mujoco
@@ -55,15 +56,19 @@ class Renderer:
     """Draws moments of one scene. Use it as a context manager, in one thread: it holds memory of the driver.
 
     Args:
-        model: of the scene, where it was compiled already; it is changed.
+        view: by default the one that the options name, for the whole plan.
+        model: of scene and view, where it was compiled already; it is changed.
 
     Raises:
         NoGraphicsError: there is no OpenGL.
     """
 
-    def __init__(self, scene: PlanScene, options: RenderOptions = PICTURE, model: Any = None) -> None:
+    def __init__(
+        self, scene: PlanScene, options: RenderOptions = PICTURE, view: View | None = None, model: Any = None
+    ) -> None:
         self.scene, self.options = scene, options
-        self._model = compiled_model(scene, options) if model is None else model
+        self.view = chosen_view(scene, options) if view is None else view
+        self._model = compiled_model(scene, options, self.view) if model is None else model
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         body = {self._model.body(b).name: b for b in range(self._model.nbody)}
@@ -78,7 +83,6 @@ class Renderer:
                 self._renderer = mujoco.Renderer(self._model, options.drawn_height, options.drawn_width)
         except Exception as error:  # MuJoCo and the loaders of OpenGL raise whatever they like
             raise NoGraphicsError(str(error).strip().split("\n")[0] or type(error).__name__) from error
-        self.view = view_of(scene, options.view, options.robot, options.width / options.height)
 
     def __enter__(self) -> Renderer:
         return self
@@ -86,11 +90,11 @@ class Renderer:
     def __exit__(self, *_: object) -> None:
         self._renderer.close()
 
-    def picture(self, moment: Moment | None = None, view: View | None = None) -> Image:
+    def picture(self, moment: Moment | None = None) -> Image:
         """One picture: of a moment of the plan, or of the whole assembly with the arm at rest."""
         self._pose(moment)
         mujoco.mj_kinematics(self._model, self._data)
-        self._renderer.update_scene(self._data, _camera(self._model, view or self.view))
+        self._renderer.update_scene(self._data, _camera(self._model, self.view))
         if moment is not None and self.options.path:
             self._draw_path(np.asarray(self.scene.steps[moment.step].tool_path)[:, :3])
         drawn = PillowImage.fromarray(self._pixels())
@@ -179,6 +183,11 @@ def _camera(model: Any, view: View) -> Any:
     return camera
 
 
+def chosen_view(scene: PlanScene, options: RenderOptions, moments: Sequence[Moment] | None = None) -> View:
+    """The view that the options name; moments as for `takeapart.render_view.view_of`."""
+    return view_of(scene, options.view, options.robot, options.width / options.height, moments)
+
+
 def step_pictures(scene: PlanScene, options: RenderOptions, fraction: float = 0.4) -> list[Image]:
     """One picture of every removal, at the given fraction of its path."""
     with Renderer(scene, options) as renderer:
@@ -204,14 +213,15 @@ def animation(
         for fraction in (fractions if scene.direction == "disassembly" else fractions[::-1])
     ]
     options = replace(options, moving=True)
-    model = compiled_model(scene, options)
+    view = chosen_view(scene, options)
+    model = compiled_model(scene, options, view)
     stop = threading.Event()
     outputs: list[queue.Queue[Image | Exception]] = [queue.Queue(QUEUED) for _ in range(DRAWING_THREADS)]
 
     def draw(first: int) -> None:
         """Every so many-th picture, with a renderer of this thread."""
         try:
-            with Renderer(scene, options, copy.copy(model)) as renderer:
+            with Renderer(scene, options, view, copy.copy(model)) as renderer:
                 for step, fraction in moments[first::DRAWING_THREADS]:
                     _put(outputs[first], renderer.picture(scene.moment(step, fraction)), stop)
                     if stop.is_set():

@@ -103,6 +103,11 @@ class RobotVisual:
                 T[number] = T[number] @ pose(quaternion=(np.cos(half), *(np.sin(half) * link.axis)))
         return T
 
+    def merged_vertices(self, cell: float) -> list[Array]:
+        """Per link points (C, 3), m, in its frame: the mean of its meshes' vertices in every cell of a grid."""
+        every = [np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in link.meshes)]) for link in self.links]
+        return [merged(vertices, cell)[0] if len(vertices) else vertices for vertices in every]
+
     def tool_pose(self, configuration: Array) -> Array:
         """Pose (4, 4) of the tool in the world."""
         T_hand_tool = np.eye(4)
@@ -277,15 +282,20 @@ def simplified(
     vertices: Array, faces: NDArray[np.int32], color: tuple[float, float, float], cell: float = CELL
 ) -> Mesh:
     """Vertices in one cell of a grid become one, their mean (Rossignac and Borrel 1993)."""
-    cells = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-    _, owner = np.unique(np.ravel_multi_index(cells.T, cells.max(axis=0) + 1), return_inverse=True)
-    count = np.bincount(owner)
-    merged = np.column_stack([np.bincount(owner, weights=vertices[:, k]) / count for k in range(3)])
+    points, owner = merged(vertices, cell)
     kept = owner[faces]
     kept = kept[(kept[:, 0] != kept[:, 1]) & (kept[:, 1] != kept[:, 2]) & (kept[:, 2] != kept[:, 0])]
     _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
     used, kept = np.unique(kept[np.sort(first)], return_inverse=True)
-    return Mesh(merged[used].astype(np.float32), kept.reshape(-1, 3).astype(np.int32), color)
+    return Mesh(points[used].astype(np.float32), kept.reshape(-1, 3).astype(np.int32), color)
+
+
+def merged(vertices: Array, cell: float) -> tuple[Array, NDArray[np.int64]]:
+    """The means (C, 3) of vertices (V, 3) in one cell of a grid, m, and which of them each vertex belongs to (V,)."""
+    cells = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
+    _, owner = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_inverse=True)
+    count = np.bincount(owner)
+    return np.column_stack([np.bincount(owner, weights=vertices[:, k]) / count for k in range(3)]), owner
 
 
 def box_mesh(boxes: Sequence[OrientedBox]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from takeapart.geometry import Array, quaternion_from_rotation
 from takeapart.render_robot import BROWSER_CELL, box_mesh, coarser
-from takeapart.render_scene import GOAL, STEEL, Color, PlanScene, darker, rgb, view_of
+from takeapart.render_scene import GOAL, STEEL, Color, PlanScene, darker, rgb
+from takeapart.render_view import view_of
 
 PANEL_SHARE = 0.11  # of the camera's distance, by which everything is shifted to the left
 

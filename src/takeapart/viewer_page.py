@@ -27,8 +27,9 @@ from takeapart.messages import shown
 from takeapart.render_facts import PartFacts, part_facts, why_not_earlier
 from takeapart.render_markup import digest_source
 from takeapart.render_robot import BROWSER_CELL, Mesh, RobotVisual, coarser
-from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene, view_of
+from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene
 from takeapart.render_subject import load_subject
+from takeapart.render_view import view_of
 from takeapart.run import JOURNAL
 from takeapart.run_journal import recorded_answers
 from takeapart.viewer_time import PLAYBACK
