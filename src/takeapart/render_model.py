@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.errors import MissingExtraError
-from takeapart.geometry import OrientedBox, quaternion_from_rotation, rotation_from_quaternion
+from takeapart.geometry import OrientedBox, quaternion_from_rotation
 from takeapart.render_robot import BROWSER_CELL, Mesh, RobotVisual, box_mesh, coarser
 from takeapart.render_scene import GOAL, STEEL, Color, PlanScene, darker, rgb
-from takeapart.render_view import DIRECTIONS, View
+from takeapart.render_view import View
 
 try:
     import mujoco
@@ -21,7 +21,6 @@ except ImportError as missing:
     raise MissingExtraError("render", "view", "mujoco") from missing
 
 SAMPLES, MOVING_SAMPLES = 2.0, 1.5  # pixels per pixel along each edge; the picture is the mean of them
-LIT_FROM = np.radians(DIRECTIONS["corner"][0])  # where the light is as it stands below
 SHADOW_MARGIN = 0.25  # m, around the middles of links and the corners of parts
 
 
@@ -89,11 +88,8 @@ def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
     world = spec.worldbody
     low, high = scene.bounds
     middle = (low + high) / 2
-    turn = view.azimuth if options.view == "corner" else LIT_FROM
-    half = (turn - LIT_FROM) / 2
-    R = rotation_from_quaternion((np.cos(half), 0, 0, np.sin(half)))
     for offset, light, shadow in (([-0.8, -1.4, 2.6], 0.42, True), ([1.2, 1.0, 1.8], 0.12, False)):
-        position = middle + R @ offset
+        position = middle + (view.beside_camera(np.array(offset)) if options.view == "corner" else np.array(offset))
         added = world.add_light(pos=position, dir=middle - position, diffuse=[light] * 3, castshadow=shadow)
         added.specular = [0.12] * 3
         added.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.geometry import Array, OrientedBox, pose_inverse
+from takeapart.geometry import Array, OrientedBox, pose_inverse, rotation_from_quaternion
 from takeapart.render_scene import Moment, PlanScene
 
 TURNS = (112, 90, 68)  # degrees from the line from the arm to the assembly; the first if none is better
@@ -48,10 +48,10 @@ class View:
         """Where the camera stands (3,), m."""
         return np.asarray(self.target - self.distance * self.direction)
 
-    @property
-    def azimuth(self) -> float:
-        """Of the camera as seen from the target, rad."""
-        return math.atan2(-self.direction[1], -self.direction[0])
+    def beside_camera(self, offset: Array) -> Array:
+        """A vector (3,), given for who looks from "corner", turned with the camera: where light comes from."""
+        half = (math.atan2(-self.direction[1], -self.direction[0]) - math.radians(DIRECTIONS["corner"][0])) / 2
+        return np.asarray(rotation_from_quaternion((math.cos(half), 0, 0, math.sin(half))) @ offset)
 
 
 DIRECTIONS = {  # azimuth and elevation of the camera as seen from the target, degrees; front is x = 0

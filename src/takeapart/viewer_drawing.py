@@ -38,7 +38,7 @@ def draw_light(server: Any, scene: PlanScene) -> None:
     api.configure_default_lights(enabled=False)
     api.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(190, 195, 205), intensity=1.6)
     low, high = scene.bounds
-    position = (low + high) / 2 + [-0.8, -1.4, 2.6]
+    position = (low + high) / 2 + view.beside_camera(np.array([-0.8, -1.4, 2.6]))
     api.add_light_directional("/light/sun", intensity=1.7, position=tuple(position), cast_shadow=False)
 
 

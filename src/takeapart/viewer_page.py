@@ -39,6 +39,7 @@ MAXIMUM_BYTES = 10 * 2**20
 FORMAT, VERSION = "takeapart/page", 1
 CREASE = math.radians(40)  # edges sharper than this stay sharp
 HULL_CELL = 0.008  # m, details of shadows below this are merged
+LIGHT = np.array([-0.38, -0.55, 1.0])  # toward it, for who looks from "corner"
 PATH_POINTS = 80  # of the line that shows a tool path
 
 
@@ -125,6 +126,7 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
             "direction": view.direction.tolist(),
             "distance": view.distance,
             "field": view.field,
+            "light": _numbers(view.beside_camera(LIGHT)),
         },
     }
 
