@@ -189,7 +189,7 @@ def test_command_writes_pictures_and_animations(tmp_path: Path, folder: Path) ->
             if name == "plan.gif":
                 assert getattr(picture, "n_frames", 1) == 2 * three_bars().root.bit_count()
                 picture.seek(3)
-                assert picture.info["duration"] == pytest.approx(1000 / 15, abs=7)
+                assert picture.info["duration"] == pytest.approx(1000 / 12, abs=7)
 
 
 @pytest.mark.usefixtures("graphics")

@@ -54,9 +54,9 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.rende
 @click.option("--width", type=click.IntRange(64, 4096), help="Pixels.  [default: 1200; sheet 400; animation 640]")
 @click.option("--height", type=click.IntRange(64, 4096), help="Pixels.  [default: three quarters of the width]")
 @click.option(
-    "--frames", type=click.IntRange(2, 240), default=12, show_default=True, help="Of an animation, for every step."
+    "--frames", type=click.IntRange(2, 240), default=10, show_default=True, help="Of an animation, for every step."
 )
-@click.option("--fps", type=FiniteNumber(1, 60), default=15.0, show_default=True, help="Frames per second.")
+@click.option("--fps", type=FiniteNumber(1, 60), default=12.0, show_default=True, help="Frames per second.")
 @plan_assembly_option
 @plan_workcell_option
 @json_option

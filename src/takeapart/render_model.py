@@ -20,7 +20,7 @@ try:
 except ImportError as missing:
     raise MissingExtraError("render", "view", "mujoco") from missing
 
-SAMPLES, MOVING_SAMPLES = 2.0, 1.5  # pixels per pixel along each edge; the picture is the mean of them
+SAMPLES, MOVING_SAMPLES = 2.0, 1.25  # pixels per pixel along each edge; the picture is the mean of them
 SHADOW_MARGIN = 0.25  # m, around the middles of links and the corners of parts
 
 
