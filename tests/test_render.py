@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +24,9 @@ from takeapart.render import NoGraphicsError, Renderer, RenderOptions, animation
 from takeapart.render_facts import blocked_by, hindrances, part_facts, why_not_earlier
 from takeapart.render_output import contact_sheet, save_animation
 from takeapart.render_robot import load_robot_visual
-from takeapart.render_scene import CURRENT, PlanScene, colors_of, rgb, role_of, view_of
+from takeapart.render_scene import CURRENT, PlanScene, colors_of, rgb, role_of
 from takeapart.render_subject import load_subject
+from takeapart.render_view import ARM_CELL, BETTER, SEEN, View, seen_shares, view_of
 from takeapart.robot.model import RobotModel
 
 
@@ -186,7 +189,80 @@ def test_command_writes_pictures_and_animations(tmp_path: Path, folder: Path) ->
             if name == "plan.gif":
                 assert getattr(picture, "n_frames", 1) == 2 * three_bars().root.bit_count()
                 picture.seek(3)
-                assert picture.info["duration"] == pytest.approx(1000 / 15, abs=7)
+                assert picture.info["duration"] == pytest.approx(1000 / 12, abs=7)
+
+
+@pytest.mark.usefixtures("graphics")
+def test_animation_draws_the_moments_in_their_order_and_ends_when_nobody_looks(scene: PlanScene) -> None:
+    assert scene.plan is not None
+    options = RenderOptions(128, 96)
+    with Renderer(scene, replace(options, moving=True)) as renderer:
+        for shown in (scene, PlanScene(scene.assembly, scene.workcell, scene.plan.inverted())):
+            moments = [(0, 0.0), (0, 0.5), (0, 1.0), (1, 0.0), (1, 0.5), (1, 1.0)]
+            expected = [renderer.picture(scene.moment(*moment)).astype(int) for moment in moments]
+            if shown is not scene:
+                expected.reverse()
+            for picture, other in zip(animation(shown, options, 3, [0, 1]), expected, strict=True):
+                assert np.abs(picture - other).mean() < 0.1
+    before = threading.active_count()
+    pictures = animation(scene, options, 40)
+    next(pictures)
+    pictures.close()  # type: ignore[attr-defined]
+    assert threading.active_count() == before
+
+
+@pytest.mark.usefixtures("graphics")
+def test_estimate_of_what_the_arm_hides_is_what_the_pictures_show(scene: PlanScene) -> None:
+    base, goal = scene.workcell.T_world_base[:3, 3], scene.workcell.goal
+    behind = (base - goal)[:2] / np.linalg.norm((base - goal)[:2])
+    cells = scene.robot.merged_vertices(ARM_CELL)
+    wanted = np.array(rgb(CURRENT))
+    differences, shares = [], []
+    for direction in (behind, -behind, np.array([behind[1], -behind[0]])):
+        forward = np.array([*(-0.9 * direction), -np.sqrt(1 - 0.81)])
+        right = np.cross(forward, [0, 0, 1.0]) / 0.9
+        axes = np.array([right, np.cross(right, forward), forward])
+        view = View((scene.bounds[0] + scene.bounds[1]) / 2, forward, 8.0, np.radians(10))  # nearly parallel rays
+        drawn = {}
+        for robot in (True, False):
+            with Renderer(scene, RenderOptions(320, 240, robot=robot, path=False), view) as renderer:
+                for moment in (scene.moment(step, fraction) for step in range(3) for fraction in (0.0, 0.5)):
+                    image = renderer.picture(moment) / 255
+                    hue = image / image.max(axis=2, keepdims=True).clip(0.05)
+                    seen = (np.abs(hue - wanted / wanted.max()) < 0.12).all(axis=2).sum()
+                    drawn[robot, moment.step, moment.fraction] = int(seen)
+        for (robot, step, fraction), count in drawn.items():
+            if robot or count < 40:
+                continue
+            shown = drawn[True, step, fraction] / count
+            moment = scene.moment(step, fraction)
+            with_arm = seen_shares(scene, moment, [axes], cells)[0]
+            without = seen_shares(scene, moment, [axes], [np.zeros((0, 3)) for _ in cells])[0]
+            shares.append(shown)
+            differences.append(with_arm / without - shown)
+    assert min(shares) < 0.4 and max(shares) > 0.8 and len(shares) > 8
+    assert np.abs(differences).mean() < 0.15 and abs(np.mean(differences)) < 0.1
+
+
+def test_view_of_a_plan_shows_more_of_the_parts_than_the_first_one(scene: PlanScene) -> None:
+    cells = scene.robot.merged_vertices(ARM_CELL)
+    moments = [scene.moment(step, fraction) for step in range(len(scene.steps)) for fraction in (0.0, 0.4)]
+
+    def shown(view: View) -> float:
+        right = np.cross(view.direction, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        axes = [np.array([right, np.cross(right, view.direction), view.direction])]
+        return float(np.mean([min(seen_shares(scene, moment, axes, cells)[0], SEEN) for moment in moments]))
+
+    plain = view_of(PlanScene(scene.assembly, scene.workcell))
+    assert shown(view_of(scene)) >= shown(plain)
+    for moment in moments:
+        own, common = view_of(scene, moments=[moment]), view_of(scene)
+        right = [np.cross(view.direction, [0, 0, 1.0]) for view in (own, common)]
+        axes = [np.array([r, np.cross(r, v.direction), v.direction]) for r, v in zip(right, (own, common), strict=True)]
+        axes = [a / np.linalg.norm(a, axis=1, keepdims=True) for a in axes]
+        seen = seen_shares(scene, moment, axes, cells)
+        assert min(seen[0], SEEN) >= min(seen[1], SEEN) - BETTER * SEEN
 
 
 @pytest.mark.usefixtures("graphics")

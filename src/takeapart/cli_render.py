@@ -26,7 +26,7 @@ from takeapart.errors import InputError
 if TYPE_CHECKING:
     from takeapart.render import Image
 
-VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.render_scene.DIRECTIONS, without its imports
+VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.render_view.DIRECTIONS, without its imports
 
 
 @click.command(
@@ -54,9 +54,9 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.rende
 @click.option("--width", type=click.IntRange(64, 4096), help="Pixels.  [default: 1200; sheet 400; animation 640]")
 @click.option("--height", type=click.IntRange(64, 4096), help="Pixels.  [default: three quarters of the width]")
 @click.option(
-    "--frames", type=click.IntRange(2, 240), default=12, show_default=True, help="Of an animation, for every step."
+    "--frames", type=click.IntRange(2, 240), default=10, show_default=True, help="Of an animation, for every step."
 )
-@click.option("--fps", type=FiniteNumber(1, 60), default=15.0, show_default=True, help="Frames per second.")
+@click.option("--fps", type=FiniteNumber(1, 60), default=12.0, show_default=True, help="Frames per second.")
 @plan_assembly_option
 @plan_workcell_option
 @json_option
@@ -91,7 +91,7 @@ def render(
         raise click.UsageError("--sheet and --step make a .png; an animation shows all steps")
     require_output(out, file)
 
-    from takeapart.render import Renderer, RenderOptions, animation
+    from takeapart.render import Renderer, RenderOptions, animation, chosen_view
     from takeapart.render_output import captioned, contact_sheet, save_animation, save_png
     from takeapart.render_scene import PlanScene
     from takeapart.render_subject import load_subject
@@ -122,7 +122,9 @@ def render(
 
             save_animation(drawn(), out, fps)
         else:
-            with Renderer(scene, options) as renderer:
+            moment = None if step is None else scene.moment(order[step - 1], at)
+            shown_moments = None if moment is None else [moment]
+            with Renderer(scene, options, chosen_view(scene, options, shown_moments)) as renderer:
                 if sheet:
                     images = []
                     for number, k in enumerate(order):
@@ -133,7 +135,6 @@ def render(
                         title += f", {metres(subject.plan.total_length)}"
                     save_png(contact_sheet(images, captions, title), out)
                 else:
-                    moment = None if step is None else scene.moment(order[step - 1], at)
                     picture = renderer.picture(moment)
                     save_png(picture if step is None else captioned(picture, captions[step - 1]), out)
     if as_json:

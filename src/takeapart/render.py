@@ -5,34 +5,41 @@ Needs the extra "view", and OpenGL: without a display, EGL (of the graphics driv
 
 from __future__ import annotations
 
-import functools
+import copy
 import importlib
 import itertools
 import os
+import queue
 import sys
+import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.errors import MissingExtraError, TakeapartError
-from takeapart.geometry import Array, OrientedBox, quaternion_from_rotation
-from takeapart.render_robot import RobotVisual
-from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, Color, Moment, PlanScene, View, darker, rgb, view_of
+from takeapart.geometry import Array, quaternion_from_rotation
+from takeapart.render_model import PICTURE, RenderOptions, compiled_model
+from takeapart.render_scene import CURRENT, PATH, Moment, PlanScene, darker, rgb
+from takeapart.render_view import View, view_of
 
 try:
     import mujoco
+    from PIL import Image as PillowImage
 except ImportError as missing:
-    raise MissingExtraError("render", "view", "mujoco") from missing
+    raise MissingExtraError("render", "view", "mujoco and pillow") from missing
 
 Image = NDArray[np.uint8]
 """A picture (H, W, 3), red, green, blue."""
 
-PATH_RADIUS, PATH_POINTS = 0.0035, 48
+PATH_RADIUS, PATH_POINTS, MOVING_PATH_POINTS = 0.0035, 48, 16
 LIGHT_RADIUS, LIGHT_DIRECTIONS = 0.012, 6  # rad, half the angle that the light fills; samples on its edge
-SAMPLES = 2  # pixels per pixel along each edge; the picture is the mean of them
+DRAWING_THREADS = 2  # of an animation; OpenGL in software keeps one core busy with vertices, another with pixels
+QUEUED = 4  # pictures of one thread that wait
+
+_graphics = threading.Lock()  # MuJoCo opens the display, and chooses it, for all threads
 
 
 class NoGraphicsError(TakeapartError):
@@ -45,38 +52,23 @@ class NoGraphicsError(TakeapartError):
         )
 
 
-@dataclass(frozen=True)
-class RenderOptions:
-    """How a picture is made.
+class Renderer:
+    """Draws moments of one scene. Use it as a context manager, in one thread: it holds memory of the driver.
 
     Args:
-        width, height: pixels.
-        view: name of a view, see `takeapart.render_scene.DIRECTIONS`.
-        robot: whether the arm is drawn.
-        path: whether the tool path of the current step is drawn.
-        laid_out: whether removed parts lie beside the assembly; otherwise they are hidden.
-        soft: whether shadows have soft edges, which takes several times as long.
-    """
-
-    width: int = 1200
-    height: int = 900
-    view: str = "corner"
-    robot: bool = True
-    path: bool = True
-    laid_out: bool = False
-    soft: bool = False
-
-
-class Renderer:
-    """Draws moments of one scene. Use it as a context manager: it holds memory of the graphics driver.
+        view: by default the one that the options name, for the whole plan.
+        model: of scene and view, where it was compiled already; it is changed.
 
     Raises:
         NoGraphicsError: there is no OpenGL.
     """
 
-    def __init__(self, scene: PlanScene, options: RenderOptions = RenderOptions()) -> None:
+    def __init__(
+        self, scene: PlanScene, options: RenderOptions = PICTURE, view: View | None = None, model: Any = None
+    ) -> None:
         self.scene, self.options = scene, options
-        self._model = _specification(scene, options).compile()
+        self.view = chosen_view(scene, options) if view is None else view
+        self._model = compiled_model(scene, options, self.view) if model is None else model
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         body = {self._model.body(b).name: b for b in range(self._model.nbody)}
@@ -86,11 +78,11 @@ class Renderer:
         self._links = [int(mocap[body[f"link/{i}"]]) for i in range(len(scene.robot.links))] if options.robot else []
         self._plain = self._model.geom_rgba.copy()
         try:
-            _choose_graphics()
-            self._renderer = mujoco.Renderer(self._model, options.height * SAMPLES, options.width * SAMPLES)
+            with _graphics:
+                _choose_graphics()
+                self._renderer = mujoco.Renderer(self._model, options.drawn_height, options.drawn_width)
         except Exception as error:  # MuJoCo and the loaders of OpenGL raise whatever they like
             raise NoGraphicsError(str(error).strip().split("\n")[0] or type(error).__name__) from error
-        self.view = view_of(scene, options.view, options.robot, options.width / options.height)
 
     def __enter__(self) -> Renderer:
         return self
@@ -98,23 +90,20 @@ class Renderer:
     def __exit__(self, *_: object) -> None:
         self._renderer.close()
 
-    def picture(self, moment: Moment | None = None, view: View | None = None) -> Image:
+    def picture(self, moment: Moment | None = None) -> Image:
         """One picture: of a moment of the plan, or of the whole assembly with the arm at rest."""
         self._pose(moment)
         mujoco.mj_kinematics(self._model, self._data)
-        self._renderer.update_scene(self._data, _camera(self._model, view or self.view))
+        self._renderer.update_scene(self._data, _camera(self._model, self.view))
         if moment is not None and self.options.path:
             self._draw_path(np.asarray(self.scene.steps[moment.step].tool_path)[:, :3])
-        pixels = self._pixels()
-        # Sums of every other row and column: ten times as fast as a reduction over axes of two.
-        rows = functools.reduce(np.add, (pixels[k::SAMPLES] for k in range(SAMPLES)))
-        total = functools.reduce(np.add, (rows[:, k::SAMPLES] for k in range(SAMPLES)))
-        return np.asarray(total // SAMPLES**2, dtype=np.uint8)
+        drawn = PillowImage.fromarray(self._pixels())
+        return np.asarray(drawn.resize((self.options.width, self.options.height), PillowImage.Resampling.BOX))
 
-    def _pixels(self) -> NDArray[np.uint16]:
+    def _pixels(self) -> Image:
         """The scene in all samples; where shadows are soft, the mean over directions of the light that casts them."""
         if not self.options.soft:
-            return self._renderer.render().astype(np.uint16)
+            return np.asarray(self._renderer.render())
         drawn = self._renderer.scene
         casting = [drawn.lights[k] for k in range(drawn.nlight) if drawn.lights[k].castshadow]
         directions = [np.array(light.dir, dtype=float) for light in casting]
@@ -126,7 +115,7 @@ class Renderer:
                 aside = np.cos(turn) * across + np.sin(turn) * np.cross(direction, across)
                 light.dir = direction + LIGHT_RADIUS * aside
             total = total + self._renderer.render()
-        return total // LIGHT_DIRECTIONS
+        return (total // LIGHT_DIRECTIONS).astype(np.uint8)
 
     def _pose(self, moment: Moment | None) -> None:
         scene, model = self.scene, self._model
@@ -136,8 +125,8 @@ class Renderer:
             if moment is not None and i == moment.held:
                 T = moment.T_world_held
                 color = rgb(CURRENT)
-                for k, geom in enumerate(self._part_geoms[i]):
-                    model.geom_rgba[geom, :3] = color if k < len(part.shape.boxes()) else darker(color)
+                for geom, shade in zip(self._part_geoms[i], (color, darker(color)), strict=False):
+                    model.geom_rgba[geom, :3] = shade
             elif moment is not None and i in moment.gone:
                 shown = self.options.laid_out
                 T = scene.laid_out[i]
@@ -157,7 +146,8 @@ class Renderer:
     def _draw_path(self, points: Array) -> None:
         """The tool path as a line; drawn at last, since the renderer forgets it with every update."""
         drawn = self._renderer.scene
-        chosen = points[np.unique(np.linspace(0, len(points) - 1, PATH_POINTS).astype(int))]
+        count = MOVING_PATH_POINTS if self.options.moving else PATH_POINTS
+        chosen = points[np.unique(np.linspace(0, len(points) - 1, count).astype(int))]
         for start, end in itertools.pairwise(chosen):
             if drawn.ngeom >= drawn.maxgeom or np.linalg.norm(end - start) < 1e-5:
                 continue
@@ -193,72 +183,9 @@ def _camera(model: Any, view: View) -> Any:
     return camera
 
 
-def _specification(scene: PlanScene, options: RenderOptions) -> Any:
-    """Everything as bodies that are placed by hand (MuJoCo calls them mocap bodies); nothing collides."""
-    spec = mujoco.MjSpec()
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = options.width * SAMPLES, options.height * SAMPLES
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = _shadow_texels(options), 0
-    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 40.0
-    spec.visual.map.shadowclip = 1.6
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.28] * 3
-    spec.visual.headlight.specular = [0.05] * 3
-    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=384)
-    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
-    sky.rgb1, sky.rgb2 = [0.95, 0.96, 0.98], [0.99, 0.99, 1.0]
-    world = spec.worldbody
-    low, high = scene.bounds
-    middle = (low + high) / 2
-    for offset, light, shadow in (([-0.8, -1.4, 2.6], 0.42, True), ([1.2, 1.0, 1.8], 0.12, False)):
-        position = middle + offset
-        added = world.add_light(pos=position, dir=middle - position, diffuse=[light] * 3, castshadow=shadow)
-        added.specular = [0.12] * 3
-        added.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    for obstacle in scene.workcell.environment:
-        top = obstacle.box.corners()[:, 2].max()
-        if options.robot or top < low[2] + 0.01:  # without the arm, only what the assembly stands on
-            _add_box(world, obstacle.box, rgb(STEEL))
-    colors = [rgb(color) for color in scene.colors]
-    for i, part in enumerate(scene.assembly.parts):
-        body = world.add_body(name=f"part/{part.name}", mocap=True)
-        own = len(part.shape.boxes())
-        for k, box in enumerate(scene.assembly.body(i)):
-            _add_box(body, box, colors[i] if k < own else darker(colors[i]))
-    if options.robot:
-        _add_robot(spec, scene.robot)
-        world.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.012, 0, 0], pos=scene.workcell.goal, rgba=[*rgb(GOAL), 1.0]
-        )
-    return spec
-
-
-def _shadow_texels(options: RenderOptions) -> int:
-    """Along an edge of the picture of shadows; a small picture does not show more, and an animation has hundreds."""
-    return 4096 if max(options.width, options.height) > 800 else 2048
-
-
-def _add_box(body: Any, box: OrientedBox, color: Color) -> None:
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=box.half_extents,
-        pos=box.T_frame_box[:3, 3],
-        quat=quaternion_from_rotation(box.T_frame_box[:3, :3]),
-        rgba=[*color, 1.0],
-        contype=0,
-        conaffinity=0,
-    )
-
-
-def _add_robot(spec: Any, robot: RobotVisual) -> None:
-    for number, link in enumerate(robot.links):
-        body = spec.worldbody.add_body(name=f"link/{number}", mocap=True)
-        for k, mesh in enumerate(link.meshes):
-            name = f"mesh/{number}/{k}"
-            added = spec.add_mesh(name=name)
-            added.uservert, added.userface = mesh.vertices.ravel(), mesh.faces.ravel()
-            added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open meshes have no volume
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*mesh.color, 1.0], contype=0, conaffinity=0
-            )
+def chosen_view(scene: PlanScene, options: RenderOptions, moments: Sequence[Moment] | None = None) -> View:
+    """The view that the options name; moments as for `takeapart.render_view.view_of`."""
+    return view_of(scene, options.view, options.robot, options.width / options.height, moments)
 
 
 def step_pictures(scene: PlanScene, options: RenderOptions, fraction: float = 0.4) -> list[Image]:
@@ -279,8 +206,48 @@ def animation(
     chosen = list(range(len(scene.steps)) if steps is None else steps)
     if scene.direction == "assembly":
         chosen.reverse()
-    with Renderer(scene, options) as renderer:
-        for step in chosen:
-            fractions = np.linspace(0.0, 1.0, frames)
-            for fraction in fractions if scene.direction == "disassembly" else fractions[::-1]:
-                yield renderer.picture(scene.moment(step, float(fraction)))
+    fractions = np.linspace(0.0, 1.0, frames)
+    moments = [
+        (step, float(fraction))
+        for step in chosen
+        for fraction in (fractions if scene.direction == "disassembly" else fractions[::-1])
+    ]
+    options = replace(options, moving=True)
+    view = chosen_view(scene, options)
+    model = compiled_model(scene, options, view)
+    stop = threading.Event()
+    outputs: list[queue.Queue[Image | Exception]] = [queue.Queue(QUEUED) for _ in range(DRAWING_THREADS)]
+
+    def draw(first: int) -> None:
+        """Every so many-th picture, with a renderer of this thread."""
+        try:
+            with Renderer(scene, options, view, copy.copy(model)) as renderer:
+                for step, fraction in moments[first::DRAWING_THREADS]:
+                    _put(outputs[first], renderer.picture(scene.moment(step, fraction)), stop)
+                    if stop.is_set():
+                        return
+        except Exception as error:  # raised again where the pictures are taken
+            _put(outputs[first], error, stop)
+
+    threads = [threading.Thread(target=draw, args=(k,), daemon=True) for k in range(DRAWING_THREADS)]
+    for thread in threads:
+        thread.start()
+    try:
+        for number in range(len(moments)):
+            found = outputs[number % DRAWING_THREADS].get()
+            if isinstance(found, Exception):
+                raise found
+            yield found
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+
+
+def _put(output: queue.Queue[Image | Exception], value: Image | Exception, stop: threading.Event) -> None:
+    """Waits for a place, unless nobody takes pictures any more."""
+    while not stop.is_set():
+        try:
+            return output.put(value, timeout=0.1)
+        except queue.Full:
+            continue

@@ -9,17 +9,21 @@ import hashlib
 import importlib.util
 import os
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from takeapart.caching import cache_folder
 from takeapart.errors import InputError
-from takeapart.geometry import Array, pose
+from takeapart.geometry import Array, OrientedBox, pose
 from takeapart.workcell import RobotDescription
+
+if TYPE_CHECKING:
+    import trimesh  # loaded where a file is read: the cache spares that
 
 CELL = 0.004  # m, details of meshes below this are merged
 BROWSER_CELL = 0.006  # m, the same in browsers
@@ -99,6 +103,11 @@ class RobotVisual:
                 T[number] = T[number] @ pose(quaternion=(np.cos(half), *(np.sin(half) * link.axis)))
         return T
 
+    def merged_vertices(self, cell: float) -> list[Array]:
+        """Per link points (C, 3), m, in its frame: the mean of its meshes' vertices in every cell of a grid."""
+        every = [np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in link.meshes)]) for link in self.links]
+        return [merged(vertices, cell)[0] if len(vertices) else vertices for vertices in every]
+
     def tool_pose(self, configuration: Array) -> Array:
         """Pose (4, 4) of the tool in the world."""
         T_hand_tool = np.eye(4)
@@ -159,7 +168,9 @@ def _numbers(text: str) -> Array:
 def _origin(element: ElementTree.Element) -> Array:
     """Pose (4, 4) of the element's <origin>."""
     roll, pitch, yaw = _numbers(_child(element, "origin", "rpy") or "0 0 0")
-    T = np.asarray(trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz"))
+    T = np.eye(4)
+    for angle, axis in ((yaw, (0, 0, 1)), (pitch, (0, 1, 0)), (roll, (1, 0, 0))):
+        T = T @ pose(quaternion=(np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))))
     T[:3, 3] = _numbers(_child(element, "origin", "xyz") or "0 0 0")
     return T
 
@@ -185,21 +196,25 @@ def _geometry(element: ElementTree.Element, description: RobotDescription) -> li
     if shape.tag == "mesh":
         T[:3, :3] *= _numbers(shape.get("scale", "1 1 1"))
         found = _file_meshes(description.resolve(shape.get("filename", "")))
-    elif shape.tag == "box":
-        found = [_plain(trimesh.creation.box(_numbers(shape.get("size", "1 1 1"))))]
-    elif shape.tag == "cylinder":
-        radius, length = float(shape.get("radius", 1)), float(shape.get("length", 1))
-        found = [_plain(trimesh.creation.cylinder(radius, length))]
-    elif shape.tag == "sphere":
-        found = [_plain(trimesh.creation.icosphere(2, float(shape.get("radius", 1))))]
     else:
-        return []
+        found = _primitive(shape)
     moved = [np.asarray(mesh.vertices @ T[:3, :3].T + T[:3, 3], dtype=np.float32) for mesh in found]
     return [Mesh(vertices, mesh.faces, mesh.color) for vertices, mesh in zip(moved, found, strict=True)]
 
 
-def _plain(mesh: trimesh.Trimesh) -> Mesh:
-    return Mesh(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int32), PLAIN)
+def _primitive(shape: ElementTree.Element) -> list[Mesh]:
+    """A box, a cylinder or a sphere; nothing for what is none of them."""
+    import trimesh.creation
+
+    if shape.tag == "box":
+        mesh = trimesh.creation.box(_numbers(shape.get("size", "1 1 1")))
+    elif shape.tag == "cylinder":
+        mesh = trimesh.creation.cylinder(float(shape.get("radius", 1)), float(shape.get("length", 1)))
+    elif shape.tag == "sphere":
+        mesh = trimesh.creation.icosphere(2, float(shape.get("radius", 1)))
+    else:
+        return []
+    return [Mesh(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int32), PLAIN)]
 
 
 def _file_meshes(path: Path) -> list[Mesh]:
@@ -231,20 +246,23 @@ def _file_meshes(path: Path) -> list[Mesh]:
 
 def _read_meshes(path: Path) -> list[Mesh]:
     """One simplified mesh per colour of a file."""
+    import trimesh
+
     by_color: dict[tuple[float, float, float], list[trimesh.Trimesh]] = {}
     loaded = trimesh.load_scene(path).dump()
     for mesh in loaded if isinstance(loaded, list) else [loaded]:
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             by_color.setdefault(_color(mesh), []).append(mesh)
-    found = [simplified(_joined(meshes), color) for color, meshes in by_color.items()]
+    found = [simplified(*_joined(meshes), color) for color, meshes in by_color.items()]
     return [mesh for mesh in found if len(mesh.faces)]
 
 
-def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+def _joined(meshes: list[trimesh.Trimesh]) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (V, 3), m, and faces (F, 3) of all meshes."""
     offsets = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
     faces = [np.asarray(mesh.faces) + offset for mesh, offset in zip(meshes, offsets, strict=False)]
     vertices = np.concatenate([np.asarray(mesh.vertices) for mesh in meshes])
-    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+    return vertices, np.concatenate(faces).astype(np.int32)
 
 
 def _color(mesh: trimesh.Trimesh) -> tuple[float, float, float]:
@@ -256,21 +274,36 @@ def _color(mesh: trimesh.Trimesh) -> tuple[float, float, float]:
 
 
 def coarser(mesh: Mesh, cell: float) -> Mesh:
-    """The same mesh with less detail, for browsers; cell in m."""
-    return simplified(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), mesh.color, cell)
+    """The same mesh with less detail, for browsers and animations; cell in m."""
+    return simplified(np.asarray(mesh.vertices, dtype=float), mesh.faces, mesh.color, cell)
 
 
-def simplified(mesh: trimesh.Trimesh, color: tuple[float, float, float], cell: float = CELL) -> Mesh:
+def simplified(
+    vertices: Array, faces: NDArray[np.int32], color: tuple[float, float, float], cell: float = CELL
+) -> Mesh:
     """Vertices in one cell of a grid become one, their mean (Rossignac and Borrel 1993)."""
-    vertices = np.asarray(mesh.vertices, dtype=float)
+    points, owner = merged(vertices, cell)
+    kept = owner[faces]
+    kept = kept[(kept[:, 0] != kept[:, 1]) & (kept[:, 1] != kept[:, 2]) & (kept[:, 2] != kept[:, 0])]
+    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+    used, kept = np.unique(kept[np.sort(first)], return_inverse=True)
+    return Mesh(points[used].astype(np.float32), kept.reshape(-1, 3).astype(np.int32), color)
+
+
+def merged(vertices: Array, cell: float) -> tuple[Array, NDArray[np.int64]]:
+    """The means (C, 3) of vertices (V, 3) in one cell of a grid, m, and which of them each vertex belongs to (V,)."""
     cells = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-    _, owner = np.unique(cells, axis=0, return_inverse=True)
-    owner = owner.reshape(-1)
+    _, owner = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_inverse=True)
     count = np.bincount(owner)
-    merged = np.column_stack([np.bincount(owner, weights=vertices[:, k]) / count for k in range(3)])
-    faces = owner[np.asarray(mesh.faces)]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    faces = faces[np.sort(first)]
-    used, faces = np.unique(faces, return_inverse=True)
-    return Mesh(merged[used].astype(np.float32), faces.reshape(-1, 3).astype(np.int32), color)
+    return np.column_stack([np.bincount(owner, weights=vertices[:, k]) / count for k in range(3)]), owner
+
+
+def box_mesh(boxes: Sequence[OrientedBox]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Vertices (24 B, 3) float32, m, and faces (12 B, 3) of boxes, faces with corners of their own."""
+    quads = np.array(  # corners of `OrientedBox.corners`, anticlockwise seen from outside
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    )
+    vertices = np.concatenate([box.corners()[quads.ravel()] for box in boxes])
+    first = 4 * np.arange(6 * len(boxes))[:, None]
+    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+    return vertices.astype(np.float32), faces.astype(np.int32)

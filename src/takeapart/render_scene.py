@@ -1,4 +1,4 @@
-"""What is shown of an assembly or a plan, whoever draws it: colours, moments, places for removed parts, views.
+"""What is shown of an assembly or a plan, whoever draws it: colours, moments, places for removed parts.
 
 A moment is told by a step (0 is the first removal) and the fraction of its tool path that is behind, from 0 to 1.
 Between two steps the arm jumps: a plan holds no motion from the goal to the next grasp.
@@ -206,6 +206,18 @@ class PlanScene:
         return placed
 
     @cached_property
+    def reached(self) -> Array:
+        """Points (P, 3), m, that arm and held parts reach: at rest, and at the beginning, middle and end of every
+        path."""
+        links = [self.robot.poses(self.workcell.home, 0.0)[:, :3, 3]]
+        for step in range(len(self.steps)):
+            for fraction in (0.0, 0.5, 1.0):
+                moment = self.moment(step, fraction)
+                links.append(self.robot.poses(moment.configuration, 0.0)[:, :3, 3])
+                links += [box.moved(moment.T_world_held).corners() for box in self.assembly.body(moment.held)[:1]]
+        return np.vstack(links)
+
+    @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Least and greatest coordinates (3,) of the assembly, m."""
         corners = np.concatenate(
@@ -259,85 +271,3 @@ def _check(plan: Plan, steps: tuple[PlanStep, ...], assembly: Assembly, workcell
             raise InputError("joint path and tool path must have the same number of rows, at least 2", place)
         if step.joint_path.shape[1] != joints:
             raise InputError(f"{step.joint_path.shape[1]} joints; the arm of the workcell has {joints}", place)
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """From where a picture is taken.
-
-    Args:
-        target: (3,) m, the point in the middle.
-        direction: (3,) unit vector from the camera to the target.
-        distance: m.
-        field: vertical field of view, rad.
-    """
-
-    target: Array
-    direction: Array
-    distance: float
-    field: float = math.radians(32)
-
-    @property
-    def position(self) -> Array:
-        """Where the camera stands (3,), m."""
-        return np.asarray(self.target - self.distance * self.direction)
-
-
-DIRECTIONS = {  # azimuth and elevation of the camera as seen from the target, degrees; front is x = 0
-    "front": (180.0, 12.0),
-    "back": (0.0, 12.0),
-    "left": (90.0, 12.0),
-    "right": (-90.0, 12.0),
-    "above": (-90.0, 89.0),
-    "corner": (-128.0, 24.0),
-}
-
-
-def view_of(scene: PlanScene, name: str = "corner", robot: bool = True, aspect: float = 4 / 3) -> View:
-    """A view that shows the whole assembly, and the arm if it is drawn.
-
-    Args:
-        name: one of `DIRECTIONS`; "corner" is turned so that the arm stands beside the assembly.
-        aspect: width of the picture divided by its height.
-    """
-    azimuth, elevation = DIRECTIONS[name]
-    low, high = scene.bounds
-    middle = (low + high) / 2
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    points = corners
-    if robot:
-        base, goal = scene.workcell.T_world_base[:3, 3], scene.workcell.goal
-        points = np.vstack([corners, base, goal, _reached(scene)])
-        if name == "corner":  # across the line from the arm to the assembly, from the goal's side
-            toward = math.atan2(*(middle - base)[1::-1])
-            side = math.copysign(1.0, float(np.cross(middle - base, goal - base)[2]))
-            azimuth = math.degrees(toward) + side * 112
-    a, e = math.radians(azimuth), math.radians(elevation)
-    direction = -np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
-    right = np.array([-math.sin(a), math.cos(a), 0.0])
-    up = np.cross(right, -direction) * -1.0
-    target = _middle(points, right, up, direction)
-    field = math.radians(32)
-    tangent_v, tangent_h = math.tan(field / 2), math.tan(field / 2) * aspect
-    offset = points - target
-    depth = offset @ direction
-    sideways = np.maximum(np.abs(offset @ up) / tangent_v, np.abs(offset @ right) / tangent_h)
-    return View(target, direction, 1.08 * float((sideways - depth).max()), field)
-
-
-def _reached(scene: PlanScene) -> Array:
-    """Points (P, 3), m, that arm and held parts reach: at rest, and at the beginning, middle and end of every path."""
-    links = [scene.robot.poses(scene.workcell.home, 0.0)[:, :3, 3]]
-    for step in range(len(scene.steps)):
-        for fraction in (0.0, 0.5, 1.0):
-            moment = scene.moment(step, fraction)
-            links.append(scene.robot.poses(moment.configuration, 0.0)[:, :3, 3])
-            links += [box.moved(moment.T_world_held).corners() for box in scene.assembly.body(moment.held)[:1]]
-    return np.vstack(links)
-
-
-def _middle(points: Array, right: Array, up: Array, direction: Array) -> Array:
-    """The point (3,) in the middle of points (P, 3) along three axes."""
-    axes = np.array([right, up, direction])
-    seen = points @ axes.T
-    return np.asarray(((seen.min(axis=0) + seen.max(axis=0)) / 2) @ axes)

@@ -16,7 +16,6 @@ from takeapart.files import (
 )
 from takeapart.messages import shown
 from takeapart.plan import Plan
-from takeapart.run import MAXIMUM_BYTES, PLAN, RUN
 from takeapart.sources import assembly_of_hash, sources_of, workcell_of_hash
 from takeapart.workcell import Workcell
 
@@ -70,6 +69,8 @@ def load_subject(path: Path, assembly: Path | None = None, workcell: str | None 
 
 
 def _run(folder: Path, assembly: Path | None, workcell: str | None) -> Subject:
+    from takeapart.run import MAXIMUM_BYTES, PLAN, RUN  # it brings the planner along
+
     where = shown(folder)
     if not (folder / RUN).exists():
         raise InputError(f"is no run directory: it holds no {RUN}", where)

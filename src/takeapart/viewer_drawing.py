@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from takeapart.geometry import Array, quaternion_from_rotation
-from takeapart.render_robot import BROWSER_CELL, coarser
-from takeapart.render_scene import GOAL, STEEL, Color, PlanScene, darker, rgb, view_of
+from takeapart.render_robot import BROWSER_CELL, box_mesh, coarser
+from takeapart.render_scene import GOAL, STEEL, Color, PlanScene, darker, rgb
+from takeapart.render_view import view_of
 
 PANEL_SHARE = 0.11  # of the camera's distance, by which everything is shifted to the left
 
@@ -37,7 +38,7 @@ def draw_light(server: Any, scene: PlanScene) -> None:
     api.configure_default_lights(enabled=False)
     api.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(190, 195, 205), intensity=1.6)
     low, high = scene.bounds
-    position = (low + high) / 2 + [-0.8, -1.4, 2.6]
+    position = (low + high) / 2 + view.beside_camera(np.array([-0.8, -1.4, 2.6]))
     api.add_light_directional("/light/sun", intensity=1.7, position=tuple(position), cast_shadow=False)
 
 
@@ -76,17 +77,6 @@ def draw_scene(server: Any, scene: PlanScene, on_click: Callable[[int], Callable
             )
     api.add_icosphere("/goal", 0.012, as_bytes(rgb(GOAL)), position=tuple(scene.workcell.goal))
     return nodes
-
-
-def box_mesh(boxes: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (24 B, 3) float32, m, and faces (12 B, 3) of boxes, faces with corners of their own."""
-    quads = np.array(  # corners of `OrientedBox.corners`, anticlockwise seen from outside
-        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    )
-    vertices = np.concatenate([box.corners()[quads.ravel()] for box in boxes])
-    first = 4 * np.arange(6 * len(boxes))[:, None]
-    faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
-    return vertices.astype(np.float32), faces.astype(np.int32)
 
 
 def move(handle: Any, T: Array) -> None:

@@ -27,8 +27,9 @@ from takeapart.messages import shown
 from takeapart.render_facts import PartFacts, part_facts, why_not_earlier
 from takeapart.render_markup import digest_source
 from takeapart.render_robot import BROWSER_CELL, Mesh, RobotVisual, coarser
-from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene, view_of
+from takeapart.render_scene import CURRENT, GOAL, PATH, STEEL, PlanScene
 from takeapart.render_subject import load_subject
+from takeapart.render_view import view_of
 from takeapart.run import JOURNAL
 from takeapart.run_journal import recorded_answers
 from takeapart.viewer_time import PLAYBACK
@@ -38,6 +39,7 @@ MAXIMUM_BYTES = 10 * 2**20
 FORMAT, VERSION = "takeapart/page", 1
 CREASE = math.radians(40)  # edges sharper than this stay sharp
 HULL_CELL = 0.008  # m, details of shadows below this are merged
+LIGHT = np.array([-0.38, -0.55, 1.0])  # toward it, for who looks from "corner"
 PATH_POINTS = 80  # of the line that shows a tool path
 
 
@@ -124,6 +126,7 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
             "direction": view.direction.tolist(),
             "distance": view.distance,
             "field": view.field,
+            "light": _numbers(view.beside_camera(LIGHT)),
         },
     }
 

@@ -3,21 +3,21 @@
 // ---------------------------------------------------------------- drawing
 const VERTEX = `#version 300 es
 in vec3 position; in vec3 normal; in vec3 tint;
-uniform mat4 camera, model; uniform vec3 low, size; uniform float flatten;
+uniform mat4 camera, model; uniform vec3 low, size, sun; uniform float flatten;
 out vec3 n, c, w;
 void main() {
   vec4 p = model * vec4(low + size * position, 1.0);
-  if (flatten > -100.0) { p.xyz -= vec3(-0.38, -0.55, 1.0) * ((p.z - flatten) / 1.0); p.z = flatten + 0.0006; }
+  if (flatten > -100.0) { p.xyz -= sun * ((p.z - flatten) / sun.z); p.z = flatten + 0.0006; }
   n = mat3(model) * normal; c = tint; w = p.xyz;
   gl_Position = camera * p;
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 n, c, w; uniform vec3 eye, paint; uniform float alpha, own, glow; out vec4 color;
+in vec3 n, c, w; uniform vec3 eye, paint, sun; uniform float alpha, own, glow; out vec4 color;
 void main() {
   vec3 N = normalize(n), V = normalize(eye - w);
   if (dot(N, V) < 0.0) N = -N;
-  vec3 L = normalize(vec3(-0.38, -0.55, 1.0));
+  vec3 L = normalize(sun);
   float diffuse = max(dot(N, L), 0.0), sky = 0.5 + 0.5 * N.z;
   float fill = max(dot(N, normalize(vec3(0.7, 0.4, 0.2))), 0.0);
   float gloss = pow(max(dot(N, normalize(L + V)), 0.0), 40.0) * 0.12;
@@ -111,7 +111,7 @@ class Painter {
     return this.shape(new Float32Array(positions), new Float32Array(normals), new Uint16Array(faces));
   }
 
-  begin(camera, eye) {
+  begin(camera, eye, sun) {
     const gl = this.gl, ratio = Math.min(window.devicePixelRatio || 1, 2);
     const width = Math.max(1, Math.round(this.canvas.clientWidth * ratio)), height = Math.max(1, Math.round(this.canvas.clientHeight * ratio));
     if (this.canvas.width !== width || this.canvas.height !== height) { this.canvas.width = width; this.canvas.height = height; }
@@ -119,6 +119,7 @@ class Painter {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     gl.uniformMatrix4fv(this.at("camera"), true, camera);
     gl.uniform3fv(this.at("eye"), eye);
+    gl.uniform3fv(this.at("sun"), sun);
     this.mode(null);
   }
 

@@ -88,7 +88,7 @@ class Player {
     const q = held ? this.timeline.configuration(place.step, place.fraction, data.home.length) : data.home;
     const poses = this.arm.poses(q, held ? Math.min(held.width + place.extra, data.opening) : data.opening);
     const models = data.parts.map((_, i) => this.model(i, place, poses));
-    painter.begin(orbit.matrix, orbit.eye);
+    painter.begin(orbit.matrix, orbit.eye, data.view.light);
     painter.draw(this.obstacles, identity());
     const all = shadow => {
       models.forEach((model, i) => {
