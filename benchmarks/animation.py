@@ -1,6 +1,6 @@
 """What a GIF of a plan costs: wall time, processor time of all threads, peak memory. Table of docs/benchmarks.md.
 
-    python benchmarks/animation.py --document docs/benchmarks.md [--plan PLAN]
+    python benchmarks/animation.py --document docs/benchmarks.md
 
 Without --plan the shipped assembly single/01 of 21 parts is planned first.
 """
@@ -15,16 +15,16 @@ import tempfile
 import time
 from pathlib import Path
 
+from takeapart.experiments.tables import replace_between_markers
 from takeapart.files import data_path
-
-START, END = "<!-- animation -->", "<!-- /animation -->"
 
 
 def main() -> int:
     """Measures, prints, and puts the line into the document."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--document", type=Path)
-    parser.add_argument("--plan", type=Path)
+    parser.add_argument("--plan", type=Path, help="the plan that is shown")
+    parser.add_argument("--frames", type=int, help="pictures of a step, as of `takeapart render`")
     given = parser.parse_args()
     command = [sys.executable, "-m", "takeapart"]
     with tempfile.TemporaryDirectory() as name:
@@ -35,7 +35,8 @@ def main() -> int:
             subprocess.run([*command, "plan", product, "--search", "greedy", "--out", str(plan)], check=True)
         out = folder / "plan.gif"
         begin = time.monotonic()
-        child = subprocess.Popen([*command, "render", str(plan), "--out", str(out)])
+        frames = [] if given.frames is None else ["--frames", str(given.frames)]
+        child = subprocess.Popen([*command, "render", str(plan), "--out", str(out), *frames])
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
         wall = time.monotonic() - begin
@@ -50,9 +51,7 @@ def main() -> int:
     )
     print(text)
     if given.document:
-        document = given.document.read_text(encoding="utf-8")
-        head, tail = document.split(START)[0], document.split(END)[-1]
-        given.document.write_text(f"{head}{START}\n{text}\n{END}{tail}", encoding="utf-8")
+        replace_between_markers(given.document, "animation", text)
     return 0
 
 

@@ -31,6 +31,7 @@ from takeapart.cli import main
 from takeapart.cli_plan import options_of
 from takeapart.errors import InputError
 from takeapart.files import load_assembly, load_plan, load_workcell, save_assembly
+from takeapart.geometry import pose
 from takeapart.plan import Grasp, Plan
 from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity, sources_digest
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
@@ -126,11 +127,13 @@ def test_a_run_that_has_ended_is_not_searched_again(tmp_path: Path) -> None:
 
 
 def test_a_run_without_any_order_is_recalled(tmp_path: Path) -> None:
-    far = replace(scene_workcell(), goal=np.array([3.0, 0.0, 0.4]))
-    first = plan(two_bars(), far, OPTIONS, run=tmp_path)
+    away = pose((2.0, 0.0, 0.0))
+    near = two_bars()
+    far = replace(near, parts=tuple(replace(part, T_world_part=away @ part.T_world_part) for part in near.parts))
+    first = plan(far, scene_workcell(), OPTIONS, run=tmp_path)
     assert not isinstance(first, Plan)
     with counted(0):
-        assert plan(two_bars(), far, OPTIONS, run=tmp_path) == first
+        assert plan(far, scene_workcell(), OPTIONS, run=tmp_path) == first
     assert not (tmp_path / "plan.json").exists()
 
 

@@ -94,6 +94,12 @@ def test_a_lift_says_after_how_much_each_body_is_hit(robot: RobotModel, workcell
     assert reason.blamed == ("cover", "beam", "lid")
 
 
+def test_what_lies_on_a_part_is_hit_at_once(robot: RobotModel, workcell: Workcell) -> None:
+    lid = block("lid", [0.10, 0.15, 0.17], (0.02, 0.02, 0.02), fixed=False)
+    reason = asked(planner_of(robot, workcell, FREE_BAR, lid))
+    assert reason.text == "only straight up is tried: lifted by 50 mm it hits lid at once"
+
+
 def test_boxes_meet_where_one_begins_to_cut_into_the_other() -> None:
     """A bar slides along a post that it touches, up to a peg that sticks out of it 20 mm above the bar's upper side; a
     roof that slopes by 45 degrees stands with its edge 20 mm above the bar."""

@@ -20,6 +20,7 @@ BENCHMARKS = ROOT / "benchmarks"
 
 # Of each script what makes it small, and the document, if any, that it fills in.
 SMALL: dict[str, tuple[str, str]] = {
+    "animation": ("--frames 2", "benchmarks.md --document"),
     "clearance_cost": ("--assemblies single/01 --processes 1", "verification.md --document"),
     "closing": ("--count 1", "benchmarks.md --document"),
     "growth": ("--seconds 2 --parts 21 --out {folder}/growth", "benchmarks.md --document"),

@@ -26,6 +26,7 @@ from takeapart.workcell import GRAVITY
 
 Cause = Literal["gravity", "lift", "weight", "slip", "width", "hand", "reach", "arm", "path"]
 ITSELF = "the part itself"
+AT_ONCE = 1e-5  # m; what is hit sooner lies on the part
 Numbers = tuple[tuple[str, float], ...]
 
 
@@ -165,10 +166,7 @@ class Reasons:
             met = min(contact_height(box, height, other) for box in own for other in self._boxes(i))
             after[self._bodies[i]] = min(met, after.get(self._bodies[i], height))
         hits = sorted(after.items(), key=lambda hit: hit[1])
-        told = [
-            f"hits {name} after {millimetres(met)}" if met < height else f"ends too close to {name}"
-            for name, met in hits
-        ]
+        told = [_meeting(name, met, height) for name, met in hits]
         text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(told)}"
         blamed = self._blamed(blocked, [mask & self._permanent])
         return Reason("lift", "lift", text, (("lift_height", height),), tuple(hits), blamed)
@@ -241,3 +239,10 @@ def _least(blamed: Sequence[str], counts: Sequence[tuple[str, int]], total: int)
     """What is hit where the least is hit, if that was not told yet."""
     always = {name for name, count in counts if count == total}
     return f"; in one of them only {listed(blamed)}" if set(blamed) - always else ""
+
+
+def _meeting(name: str, after: float, height: float) -> str:
+    """What a part that is lifted does to a body that it meets after so many m."""
+    if after >= height:
+        return f"ends too close to {name}"
+    return f"hits {name} after {millimetres(after)}" if after > AT_ONCE else f"hits {name} at once"
