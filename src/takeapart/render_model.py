@@ -64,7 +64,7 @@ class RenderOptions:
     @property
     def shadow_texels(self) -> int:
         """Along an edge of the picture of shadows; a small picture does not show more."""
-        return 1024 if self.moving else 4096 if max(self.width, self.height) > 800 else 2048
+        return 512 if self.moving else 4096 if max(self.width, self.height) > 800 else 2048
 
 
 PICTURE = RenderOptions()
@@ -79,6 +79,8 @@ def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = options.drawn_width, options.drawn_height
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = options.shadow_texels, 0
+    if options.moving:  # balls and capsules of few triangles
+        spec.visual.quality.numslices, spec.visual.quality.numstacks, spec.visual.quality.numquads = 8, 4, 1
     spec.visual.map.znear, spec.visual.map.zfar = 0.02, 40.0
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.28] * 3
     spec.visual.headlight.specular = [0.05] * 3
