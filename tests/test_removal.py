@@ -17,7 +17,7 @@ from takeapart.assembly import Assembly, Part, members
 from takeapart.errors import InputError
 from takeapart.files import data_path, load_assembly
 from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse
-from takeapart.motion.edges import Scene
+from takeapart.motion.edges import Scene, resampled
 from takeapart.removal.goals import super_fibonacci
 from takeapart.removal.grasps import grasp_candidates, grasp_positions, straight_line_bounds
 from takeapart.removal.lifting import lift_blockers
@@ -589,11 +589,9 @@ def test_goals_kept_as_masks_are_those_that_fresh_checks_find(planner: RemovalPl
     assert hindered > 5
 
 
-def test_a_leg_is_not_planned_twice_in_one_situation(planner: RemovalPlanner, edges: list[Edge]) -> None:
-    """What does not depend on chance is the same object when it is asked for again."""
-    edge = known_removals(planner, tuple(edges))[0][0]
+def situation_of(planner: RemovalPlanner, edge: Edge) -> Situation:
     others, parts = edge.state & ~(1 << edge.part), len(planner.assembly.parts)
-    situation = Situation(
+    return Situation(
         planner.robot,
         planner.reach,
         planner.goals,
@@ -605,10 +603,44 @@ def test_a_leg_is_not_planned_twice_in_one_situation(planner: RemovalPlanner, ed
         0.001,
         planner.robot.workspace(64),
     )
+
+
+def test_a_leg_is_not_planned_twice_in_one_situation(planner: RemovalPlanner, edges: list[Edge]) -> None:
+    """What does not depend on chance is the same object when it is asked for again."""
+    edge = known_removals(planner, tuple(edges))[0][0]
+    situation, others = situation_of(planner, edge), edge.state & ~(1 << edge.part)
     number = next(n for n in range(len(situation.hands)) if situation.branches(n))
     assert situation.straight_leg(number, 32, 0.05) is situation.straight_leg(number, 32, 0.05)
     assert situation.free_goals(number, 24) is situation.free_goals(number, 24)
     assert situation.branches(number) == planner.reach.branches(edge.part, number, others, situation.work)
+
+
+def test_rows_are_so_close_that_the_joints_move_the_tool_no_further_than_stated(
+    planner: RemovalPlanner, edges: list[Edge], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Paths that bend from row to row, followed in a hundred pieces between each two rows; first rows 6 cm apart."""
+    monkeypatch.setattr(planner, "options", replace(planner.options, row_spacing=0.06))
+    situation = situation_of(planner, known_removals(planner, tuple(edges))[0][0])
+    robot, rng, bent = planner.robot, np.random.default_rng(91), 0
+
+    def excess(rows: Array) -> float:
+        shares = np.linspace(0.0, 1.0, 101)[:, None]
+        motion = np.concatenate([a + shares * (b - a) for a, b in pairwise(rows)])
+        return float(np.diff([situation.tool_length(motion), situation.tool_length(rows)][::-1])[0])
+
+    number = next(n for n in range(len(situation.hands)) if situation.branches(n))
+    scene = situation.scene(number)
+    for _ in range(12):
+        ends = planner.workcell.home + rng.normal(size=(6, robot.joints)) * 0.5
+        ends = np.clip(ends, robot.arm.lower, robot.arm.upper)
+        corners = np.concatenate([np.linspace(a, b, 12) for a, b in pairwise(ends)])  # a few centimetres apart
+        rough = resampled(scene, corners, planner.options.row_spacing, True)
+        assert situation.tool_bend(rough) == pytest.approx(excess(rough), rel=0.02)
+        bent += excess(rough) > 1e-4
+        rows = planner._close_rows(situation, scene, corners, True)
+        assert excess(rows) <= 5.1e-5
+        np.testing.assert_allclose(rows[[0, -1]], corners[[0, -1]])
+    assert bent > 6
 
 
 def test_orientations_are_spread_evenly() -> None:

@@ -15,6 +15,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array, OrientedBox
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
+from takeapart.motion.scene import Scene
 from takeapart.plan import Grasp
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.grasps import volume_bound
@@ -35,6 +36,9 @@ from takeapart.workcell import Workcell
 
 KEPT_WORLDS = 64  # clearance fields of states that are kept
 PLANNING_MARGIN = 1e-4  # m, kept while planning over what the final check asks for, so that it does not fail by a hair
+
+LARGEST_BEND = 5e-5  # m, by which the motion along a path may exceed the path from row to row
+MAXIMUM_HALVINGS = 6  # of the spacing of rows; each leaves a quarter of the bend
 
 DEFAULTS = RemovalOptions()
 
@@ -229,7 +233,7 @@ class RemovalPlanner:
         lift_hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
         lift_hits[-1] = 0
         for straighten in (True, False):  # as it was planned, if the straighter one hits something
-            rows = resampled(scene, path.rows, self.options.row_spacing, straighten)
+            rows = self._close_rows(situation, scene, path.rows, straighten)
             hits = lift_hits.copy()
             if len(rows) and path_blockers(scene, rows, hits) and not state_of(hits) & others:
                 break
@@ -239,6 +243,18 @@ class RemovalPlanner:
         tool_path = self.tool_path(joint_path)
         held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), situation.hands[path.number].candidate.width)
         return Removal(part, held, joint_path, tool_path, situation.tool_length(joint_path), state_of(hits))
+
+    def _close_rows(self, situation: Situation, scene: Scene, rows: Array, straighten: bool) -> Array:
+        """Rows (N, n) of a path so close that the joints move the tool no further between them than straight, but for
+        `LARGEST_BEND` in all: what a plan states, from row to row, is what the arm does. (0, n) if they are too many.
+        """
+        spacing = self.options.row_spacing
+        for _ in range(MAXIMUM_HALVINGS):
+            found = resampled(scene, rows, spacing, straighten)
+            if len(found) < 2 or situation.tool_bend(found) <= LARGEST_BEND:
+                return found
+            spacing /= 2
+        return found[:0]
 
     def tool_path(self, joint_path: Array) -> Array:
         """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad."""
