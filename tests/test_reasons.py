@@ -86,7 +86,7 @@ def test_a_lift_says_after_how_much_each_body_is_hit(robot: RobotModel, workcell
     assert (reason.stage, reason.cause) == ("lift", "lift")
     assert reason.text == (
         "only straight up is tried: lifted by 50 mm it hits lid after 12 mm, hits beam after 30 mm and "
-        "ends too close to cover"
+        "comes within 0.5 mm of cover"
     )
     assert reason.numbers == (("lift_height", 0.05),)
     assert [name for name, _ in reason.hits] == ["lid", "beam", "cover"]

@@ -194,6 +194,33 @@ def test_on_its_way_up_a_part_may_slide_along_others_and_not_cut_into_them(
     assert lift_blockers(Assembly("ledge", parts), 0.05, 0.0, ())[0] == (0b10 if hit else 0)
 
 
+@pytest.mark.parametrize(
+    ("gap", "below", "hit"),
+    [
+        (0.0009, 0.003, True),  # a lip that starts above the bar, in the open
+        (0.0012, 0.003, False),
+        (0.0009, -0.01, False),  # a wall that stands beside the bar from the start on, and along all of its way
+        (0.0002, 0.003, True),
+        (-0.00009, 0.003, True),
+        (-0.00009, -0.01, False),  # what overlaps at the start by a rounding
+    ],
+)
+def test_on_its_way_up_a_part_keeps_the_clearance_from_all_that_it_does_not_touch_at_the_start(
+    gap: float, below: float, hit: bool
+) -> None:
+    """A box that begins `below` the bar's upper side plus as much, m, beside the bar's way."""
+    bar = Part("bar", Box((0.02, 0.02, 0.02)), pose((0.0, 0.0, 0.0)), 0.1)
+    low = 0.01 + below
+    high = low + 0.015 if below > 0 else 0.2
+    side = pose((0.02 + gap, 0.0, (low + high) / 2))
+    parts = (bar, Part("side", Box((0.02, 0.02, high - low)), side, 0.1))
+    for turn in (0.0, 0.7):
+        R = pose((0.0, 0.0, 0.0), (np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)))
+        turned = tuple(replace(part, T_world_part=R @ part.T_world_part) for part in parts)
+        found = lift_blockers(Assembly("side", turned), 0.05, -1e-3, (), passing=0.001)[0]
+        assert found == (0b10 if hit else 0)
+
+
 def test_the_lifted_part_keeps_its_distance_at_the_end_of_the_lift() -> None:
     for gap, hit in ((0.0010, True), (0.0022, False)):
         side = Part("side", Box((0.02, 0.02, 0.02)), pose((0.02 + gap, 0.0, 0.05)), 0.1)

@@ -79,7 +79,7 @@ def hindrances(scene: PlanScene) -> list[tuple[int, int]]:
     assembly, cell = scene.assembly, scene.workcell
     stability = ConnectorStability(assembly)
     lifting = lift_blockers(
-        assembly, cell.lift_height, cell.clearance + LIFT_MARGIN, tuple(o.box for o in cell.environment)
+        assembly, cell.lift_height, cell.clearance + LIFT_MARGIN, tuple(o.box for o in cell.environment), cell.clearance
     )
     return [
         (0, 0)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from takeapart.assembly import Assembly
+from takeapart.contact import distance
 from takeapart.geometry import Array, OrientedBox, box_separation
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
@@ -51,15 +55,44 @@ def contact_height(box: OrientedBox, height: float, other: OrientedBox) -> float
     return (low + high) / 2
 
 
+def lift_distance(body: Sequence[OrientedBox], height: float, others: Sequence[OrientedBox]) -> float:
+    """How near a body that is lifted comes to another, m: a lower bound, 0 where they meet."""
+    T = np.array([other.T_frame_box for other in others])
+    half = np.array([other.half_extents for other in others])
+    return max(0.0, min(float(swept_up_separation(box, height, T, half).min()) for box in body))
+
+
+def passes_too_close(
+    box: OrientedBox, height: float, passing: float, others: Sequence[OrientedBox]
+) -> NDArray[np.bool_]:
+    """Which of W boxes (W,) a box that is swept straight up comes too close to: nearer than `passing`, m, to those that
+    are further away at the start; those it may slide along it must not cut into.
+    """
+    T = np.array([other.T_frame_box for other in others]).reshape(-1, 4, 4)
+    half = np.array([other.half_extents for other in others]).reshape(-1, 3)
+    separation = swept_up_separation(box, height, T, half)
+    near = separation < passing - ROUNDING
+    for k in np.flatnonzero(near).tolist():
+        if distance([box], [others[k]]) <= passing:
+            near[k] = separation[k] < -CONTACT_TOLERANCE
+    return near
+
+
 def lift_blockers(
-    assembly: Assembly, height: float, clearance: float, obstacles: tuple[OrientedBox, ...]
+    assembly: Assembly,
+    height: float,
+    clearance: float,
+    obstacles: tuple[OrientedBox, ...],
+    passing: float = -CONTACT_TOLERANCE,
 ) -> list[int | None]:
     """Per part the state of the parts it would hit when lifted; None if it would hit something that never leaves.
 
     Args:
         height: m.
-        clearance: kept at the end of the lift, m; on the way the part may slide along what it touches at the start.
+        clearance: kept at the end of the lift, m.
         obstacles: boxes of the environment, world frame.
+        passing: kept on the way from all boxes that are further away at the start, m; the part may slide along others.
+            By default it may slide along all, and cut into none.
     """
     owners, boxes = [], []
     for i, part in enumerate(assembly.parts):
@@ -78,8 +111,8 @@ def lift_blockers(
         others = np.nonzero(owner != i)[0]
         for number, box in enumerate(bodies):
             if owner[number] == i:
-                separation = swept_up_separation(box, height, T[others], half[others])
-                hit.update(owner[others[separation < -CONTACT_TOLERANCE]].tolist())
+                passed = passes_too_close(box, height, passing, [boxes[k] for k in others])
+                hit.update(owner[others[passed]].tolist())
                 T_lifted = np.repeat(box.T_frame_box[None], len(others), axis=0)
                 T_lifted[:, 2, 3] += height
                 sizes = np.repeat(box.half_extents[None], len(others), axis=0)

@@ -82,7 +82,8 @@ class RemovalPlanner:
         # Whatever passes a check keeps the workcell's clearance between two checks too.
         self._padding = workcell.clearance + options.check_step / 2 + PLANNING_MARGIN
         obstacles = tuple(obstacle.box for obstacle in workcell.environment)
-        self.lift_blockers = lift_blockers(assembly, workcell.lift_height, self._padding, obstacles)
+        passing = workcell.clearance + PLANNING_MARGIN  # the lift is straight: nothing is added for what bends
+        self.lift_blockers = lift_blockers(assembly, workcell.lift_height, self._padding, obstacles, passing)
         boxes: list[tuple[OrientedBox, int]] = []
         for i, part in enumerate(assembly.parts):
             owner = self._parts if part.fixed else i

@@ -17,7 +17,7 @@ import numpy as np
 from takeapart.assembly import Assembly, Part, members
 from takeapart.geometry import Box, OrientedBox
 from takeapart.removal.grasps import ungraspable
-from takeapart.removal.lifting import contact_height
+from takeapart.removal.lifting import contact_height, lift_distance
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Stage
 from takeapart.removal.wording import away, counted, in_all, listed, millimetres
@@ -40,8 +40,8 @@ class Reason:
         text: one clause without the part's name.
         numbers: names and values of what the clause was made of, in m, kg and N, or counts.
         hits: bodies in the way by name, fixed parts and obstacles among them. At cause "lift": after how many m they
-            are hit, the whole height where it ends too close to them; at "hand" and "arm": in how many grasps, or ways
-            to hold and lift the part.
+            are hit, the whole height where it only comes too close to them; at "hand" and "arm": in how many grasps, or
+            ways to hold and lift the part.
         blamed: names of the removable parts that have to leave before; where no leaving helps, of what never leaves and
             is in the way; empty where nothing is.
     """
@@ -152,8 +152,8 @@ class Reasons:
         opening = cell.description.maximum_opening
         width, other, _ = sorted((2 * part.shape.bounding_box().half_extents).tolist())
         text = (
-            f"is {millimetres(width)} by {millimetres(other)} wide: wider than the fingers' opening of "
-            f"{millimetres(opening)} by {millimetres(width - opening)}"
+            f"its narrowest side of {millimetres(width)} is {millimetres(width - opening)} wider than the fingers' opening "
+            f"of {millimetres(opening)}"
         )
         return Reason("grasp", "width", text, (("width", width), ("other_width", other), ("opening", opening)))
 
@@ -166,7 +166,8 @@ class Reasons:
             met = min(contact_height(box, height, other) for box in own for other in self._boxes(i))
             after[self._bodies[i]] = min(met, after.get(self._bodies[i], height))
         hits = sorted(after.items(), key=lambda hit: hit[1])
-        told = [_meeting(name, met, height) for name, met in hits]
+        least = {self._bodies[i]: lift_distance(own, height, self._boxes(i)) for i in members(mask)}
+        told = [_meeting(name, met, height, least[name]) for name, met in hits]
         text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(told)}"
         blamed = self._blamed(blocked, [mask & self._permanent])
         return Reason("lift", "lift", text, (("lift_height", height),), tuple(hits), blamed)
@@ -241,8 +242,9 @@ def _least(blamed: Sequence[str], counts: Sequence[tuple[str, int]], total: int)
     return f"; in one of them only {listed(blamed)}" if set(blamed) - always else ""
 
 
-def _meeting(name: str, after: float, height: float) -> str:
-    """What a part that is lifted does to a body that it meets after so many m."""
+def _meeting(name: str, after: float, height: float, least: float) -> str:
+    """What a part that is lifted does to a body that it meets after so many m, or comes so near to, m, if it never
+    does."""
     if after >= height:
-        return f"ends too close to {name}"
+        return f"comes within {millimetres(least)} of {name}" if least > AT_ONCE else f"touches {name} on its way"
     return f"hits {name} after {millimetres(after)}" if after > AT_ONCE else f"hits {name} at once"
