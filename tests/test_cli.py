@@ -513,7 +513,10 @@ def test_verify_a_good_and_a_bad_plan(folder: Path) -> None:
     assert (good.exit_code, good.stdout.split(":")[0]) == (0, "verified")
     assert json.loads(Path("report.json").read_text())["passed"] is True
     ending = "not checked          sequence bound (relative to the paths the planner found), counts of planner calls, "
-    ending += "seconds, seed, search and its history, versions, names of its sources and other extra keys"
+    ending += (
+        "seconds, seed, search and its history, versions, names of its sources and other extra keys, whether a part "
+    )
+    ending += "turns between the fingers (friction is compared with its weight, not with its moment)"
     assert good.stdout.splitlines()[-1] == ending
     edited(folder / "two-bars.plan.json", '"width": 0.02', '"width": 0.03')
     bad = verified("--report", "report.json", "--json")

@@ -34,7 +34,7 @@ CheckName = Literal[
 ]
 
 
-NOT_CHECKED = (  # what a plan states that no replay can confirm
+NOT_CHECKED = (  # what a plan states, or needs, that no replay can confirm
     f"sequence bound ({SEQUENCE})",
     "counts of planner calls",
     "seconds",
@@ -42,6 +42,7 @@ NOT_CHECKED = (  # what a plan states that no replay can confirm
     "search and its history",
     "versions",
     "names of its sources and other extra keys",
+    "whether a part turns between the fingers (friction is compared with its weight, not with its moment)",
 )
 
 

@@ -152,8 +152,8 @@ class Reasons:
         opening = cell.description.maximum_opening
         width, other, _ = sorted((2 * part.shape.bounding_box().half_extents).tolist())
         text = (
-            f"its narrowest side of {millimetres(width)} is {millimetres(width - opening)} wider than the fingers' opening "
-            f"of {millimetres(opening)}"
+            f"its narrowest side of {millimetres(width)} is {millimetres(width - opening)} wider than the fingers' "
+            f"opening of {millimetres(opening)}"
         )
         return Reason("grasp", "width", text, (("width", width), ("other_width", other), ("opening", opening)))
 
