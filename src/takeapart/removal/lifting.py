@@ -62,19 +62,14 @@ def lift_distance(body: Sequence[OrientedBox], height: float, others: Sequence[O
     return max(0.0, min(float(swept_up_separation(box, height, T, half).min()) for box in body))
 
 
-def passes_too_close(
-    box: OrientedBox, height: float, passing: float, others: Sequence[OrientedBox]
-) -> NDArray[np.bool_]:
-    """Which of W boxes (W,) a box that is swept straight up comes too close to: nearer than `passing`, m, to those that
-    are further away at the start; those it may slide along it must not cut into.
+def passes_too_close(box: OrientedBox, height: float, passing: float, T: Array, half: Array) -> NDArray[np.bool_]:
+    """Which of W boxes (W,) at poses T (W, 4, 4) a box that is swept straight up comes too close to: nearer than
+    `passing`, m, to those that are further away at the start; those it may slide along it must not cut into.
     """
-    T = np.array([other.T_frame_box for other in others]).reshape(-1, 4, 4)
-    half = np.array([other.half_extents for other in others]).reshape(-1, 3)
     separation = swept_up_separation(box, height, T, half)
     near = separation < passing - ROUNDING
-    for k in np.flatnonzero(near).tolist():
-        if distance([box], [others[k]]) <= passing:
-            near[k] = separation[k] < -CONTACT_TOLERANCE
+    for k in np.flatnonzero(near & (separation >= -CONTACT_TOLERANCE)):
+        near[k] = distance([box], [OrientedBox(T[k], half[k])]) > passing
     return near
 
 
@@ -111,7 +106,7 @@ def lift_blockers(
         others = np.nonzero(owner != i)[0]
         for number, box in enumerate(bodies):
             if owner[number] == i:
-                passed = passes_too_close(box, height, passing, [boxes[k] for k in others])
+                passed = passes_too_close(box, height, passing, T[others], half[others])
                 hit.update(owner[others[passed]].tolist())
                 T_lifted = np.repeat(box.T_frame_box[None], len(others), axis=0)
                 T_lifted[:, 2, 3] += height
