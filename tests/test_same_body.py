@@ -12,12 +12,14 @@ import pytest
 from conftest import random_rotation
 from small_assemblies import three_bars
 from takeapart.assembly import Assembly, Connector, Part
+from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.geometry import Array, Box, OrientedBox, pose
 from takeapart.plan import Plan
 from takeapart.planning import PlanningOptions, plan
-from takeapart.removal.grasps import grasp_candidates
+from takeapart.removal.grasps import grasp_candidates, shortest_first, straight_line_bounds, tied
 from takeapart.search.result import Budget
 from takeapart.verification import verify_plan
+from takeapart.workcell import Workcell
 from verification_scene import bar, scene_workcell
 
 OPENING = 0.08  # m
@@ -120,6 +122,34 @@ def test_a_plate_is_gripped_at_all_four_edges() -> None:
     for R in ROTATIONS:
         approaches = np.unique(np.round(in_the_world(turned((0.2, 0.02, 0.2), np.eye(4), R))[:, :3, 2]), axis=0)
         assert {tuple(row) for row in approaches.tolist()} == {(1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1)}
+
+
+def test_rounding_does_not_decide_between_grasps_that_tie() -> None:
+    """Bars across the line to the goal have mirrored grasps, as far from it but for rounding."""
+    workcell, ties = load_workcell(data_path("workcells/panda.toml")), 0
+    for name in ("single/01", "single/02", "single/03"):
+        for part in load_assembly(data_path(f"{name}.json")).parts:
+            x, y, z = (2 * part.shape.bounding_box().half_extents).tolist()
+            expected = part_grasps(part, workcell)
+            bounds = straight_line_bounds(part, shortest_first(part, workcell), workcell.lift_height, workcell.goal)
+            ties += bool((np.abs(np.diff(bounds)) < 1e-9).any())
+            for R in ROTATIONS[1:]:
+                other = turned((x, y, z), part.T_world_part, R)
+                rounded = replace(other, T_world_part=in_32_bits(other.T_world_part))
+                np.testing.assert_allclose(part_grasps(rounded, workcell), expected, atol=3e-7)
+    assert ties > 30
+
+
+def part_grasps(part: Part, workcell: Workcell) -> Array:
+    poses = [part.T_world_part @ grasp.T_part_tool for grasp in shortest_first(part, workcell)]
+    return np.array(poses).reshape(-1, 4, 4)
+
+
+def test_lengths_that_tie_are_lowered_to_their_shortest_and_others_stay() -> None:
+    lengths = np.array([0.5, 0.3 + 1e-16, 0.3, 0.3 + 4e-7, 0.3 - 4e-7, 0.7, 0.500002])
+    expected = [0.5, 0.3 - 4e-7, 0.3 - 4e-7, 0.3 - 4e-7, 0.3 - 4e-7, 0.7, 0.500002]
+    np.testing.assert_array_equal(tied(lengths), expected)
+    assert tied(np.empty(0)).shape == (0,)
 
 
 # ---- whole plans

@@ -119,6 +119,23 @@ def straight_line_bounds(part: Part, grasps: Sequence[GraspCandidate], lift_heig
     return bounds
 
 
+def shortest_first(part: Part, workcell: Workcell) -> tuple[GraspCandidate, ...]:
+    """All grasps with which the gripper can hold a part, those with the shortest straight line first."""
+    found = [] if ungraspable(part, workcell) else grasp_candidates(part, workcell.description.maximum_opening)
+    lengths = tied(straight_line_bounds(part, found, workcell.lift_height, workcell.goal))
+    return tuple(found[k] for k in np.argsort(lengths, kind="stable"))
+
+
+def tied(lengths: Array) -> Array:
+    """The same lengths (K,), m, each lowered to the shortest of those with which it ties: the next shorter one is
+    closer than `SAME_EDGE`. The last digit of a sum does not decide which of two mirrored grasps comes first."""
+    ascending = np.argsort(lengths, kind="stable")
+    apart = np.diff(lengths[ascending], prepend=-math.inf) > SAME_EDGE
+    lowered = np.empty_like(lengths)
+    lowered[ascending] = lengths[ascending][apart][np.cumsum(apart) - 1]
+    return lowered
+
+
 def volume_bound(part: Part, lift_height: float, goal: Array) -> float:
     """Least length of a removal with a grasp anywhere in the part's volume, m: straight up, then straight to the goal
     (Eq. 1). Attained where nothing is in the way.

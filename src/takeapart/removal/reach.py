@@ -17,7 +17,7 @@ from takeapart.assembly import Assembly
 from takeapart.geometry import Array
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
-from takeapart.removal.grasps import GraspCandidate, grasp_candidates, straight_line_bounds, ungraspable
+from takeapart.removal.grasps import GraspCandidate, shortest_first, straight_line_bounds, tied
 from takeapart.removal.masks import flags_of, states_of
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.hand import hand_masks
@@ -132,17 +132,14 @@ class Reach:
     def candidates(self, part: int) -> tuple[GraspCandidate, ...]:
         """Grasps of a part, those with the shortest straight line first."""
         if part not in self._candidates:
-            body, cell = self._assembly.parts[part], self._workcell
-            found = [] if ungraspable(body, cell) else grasp_candidates(body, cell.description.maximum_opening)
-            bounds = straight_line_bounds(body, found, cell.lift_height, cell.goal)
-            self._candidates[part] = tuple(found[k] for k in np.argsort(bounds, kind="stable"))
+            self._candidates[part] = shortest_first(self._assembly.parts[part], self._workcell)
         return self._candidates[part]
 
     def bound(self, part: int) -> float:
         """The shortest straight line of any grasp candidate, m; infinite if the part cannot be gripped."""
         if part not in self._bounds:
-            first = self.candidates(part)[:1]
-            bounds = straight_line_bounds(self._assembly.parts[part], first, self._lift, self._workcell.goal)
+            grasps = self.candidates(part)
+            bounds = straight_line_bounds(self._assembly.parts[part], grasps, self._lift, self._workcell.goal)
             self._bounds[part] = float(bounds.min(initial=math.inf))
         return self._bounds[part]
 
@@ -155,8 +152,8 @@ class Reach:
     def steepest_first(self, part: int, work: Workspace) -> list[int]:
         """Numbers of the grasps, those from above first."""
         if part not in self._steepest:
-            steepness = [round(hand.steepness, TIED) for hand in self.hands(part, work)]
-            self._steepest[part] = sorted(range(len(steepness)), key=steepness.__getitem__)
+            hands = self.hands(part, work)
+            self._steepest[part] = sorted(range(len(hands)), key=lambda number: hands[number].steepness)
         return self._steepest[part]
 
     def branches(self, part: int, number: int, others: int, work: Workspace) -> tuple[LiftBranch, ...]:
@@ -224,7 +221,7 @@ class Reach:
         poses = np.array([candidate.T_part_tool for candidate in candidates])
         starts = np.ascontiguousarray(body.T_world_part @ poses)
         inverses = np.ascontiguousarray(np.linalg.inv(poses))
-        bounds = straight_line_bounds(body, candidates, self._lift, self._workcell.goal)
+        bounds = tied(straight_line_bounds(body, candidates, self._lift, self._workcell.goal))
         radius = float(body.shape.bounding_box().half_extents.min())
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
         hits = np.zeros((len(candidates), parts + 1), dtype=np.uint8)
@@ -283,7 +280,7 @@ class Reach:
                 zip(
                     candidates,
                     bounds.tolist(),
-                    starts[:, 2, 2].tolist(),
+                    np.round(starts[:, 2, 2], TIED).tolist(),
                     hits[:, parts].tolist(),
                     lines[:, parts].tolist(),
                     strict=True,
