@@ -27,6 +27,7 @@ profiles
 cells
 contact
 stability
+description
 workcell
 robot
 motion

@@ -304,5 +304,9 @@ def test_inverse_kinematics_finds_nothing_out_of_reach(robot: RobotModel) -> Non
 
 
 def test_missing_robot_file_is_named(workcell: Workcell) -> None:
-    with pytest.raises(InputError, match="no_such_file"):
-        workcell.description.path("no_such_file.urdf")
+    files = workcell.description.arm.files
+    for uri in ("no_such_file.stl", "package://example-robot-data/no_such_file.stl"):
+        with pytest.raises(InputError, match="no_such_file"):
+            files.resolve(uri)
+    with pytest.raises(InputError, match="'nowhere' .* known: example-robot-data"):
+        files.resolve("package://nowhere/link0.stl")

@@ -8,10 +8,12 @@ from __future__ import annotations
 import importlib.util
 import math
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from takeapart.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
 from takeapart.errors import InputError, UnknownNameError
 from takeapart.geometry import Array, OrientedBox
 
@@ -19,95 +21,63 @@ GRAVITY = 9.81  # m/s^2
 GRIPPER_LIMITS = (("payload", " kg", 1e4), ("gripping_force", " N", 1e6), ("friction", "", 10.0))  # name, unit, most
 
 
-@dataclass(frozen=True)
-class RobotDescription:
-    """Where a known robot's files are and what its links are called.
-
-    Args:
-        package: Python distribution module whose install folder holds the files.
-        folder: folder of the package's shared files, relative to the site folder.
-        urdf: file name relative to `folder`.
-        base_link: fixed to the world at the workcell's base pose.
-        flange_link: target frame of the inverse kinematics.
-        arm_joints: in the order of a configuration.
-        hand_links: links beyond the flange that belong to the gripper, fingers included.
-        finger_links: the links that touch the part.
-        finger_joints: prismatic; each stands at half the opening.
-        T_hand_tool: (x, y, z) m of the point between the fingertips in the first hand link's frame; the tool frame has
-            this frame's axes: z is the approach direction, y the closing direction of the fingers.
-        maximum_opening: between the fingers, m.
-        payload: what the gripper may carry, kg.
-        gripping_force: with which each finger presses on the part, N.
-        friction: coefficient between a finger's pad and the part.
-        ik_module: module of the inverse kinematics library.
-    """
-
-    name: str
-    folder: str
-    urdf: str
-    base_link: str
-    flange_link: str
-    arm_joints: tuple[str, ...]
-    hand_links: tuple[str, ...]
-    finger_links: tuple[str, ...]
-    finger_joints: tuple[str, ...]
-    T_hand_tool: tuple[float, float, float]
-    maximum_opening: float
-    payload: float
-    gripping_force: float
-    friction: float
-    ik_module: str
-
-    def path(self, relative: str) -> Path:
-        """A file of the robot, for example ``path(description.urdf)``.
-
-        Raises:
-            InputError: the package with the robot's files is not installed.
-        """
-        specification = importlib.util.find_spec("cmeel")
-        site = Path(str(specification.origin)).parents[1] if specification and specification.origin else Path()
-        found = site / self.folder / relative
-        if not found.is_file():
-            raise InputError(
-                f"robot file {relative!r} not found; install it with: pip install example-robot-data", self.name
-            )
-        return found
-
-    def resolve(self, uri: str) -> Path:
-        """File of a mesh as the URDF names it (``package://example-robot-data/robots/...``)."""
-        return self.path(uri.removeprefix("package://example-robot-data/"))
-
-
-ROBOTS = {
-    "panda": RobotDescription(
+def _panda() -> RobotDescription:
+    specification = importlib.util.find_spec("cmeel")
+    site = Path(str(specification.origin)).parents[1] if specification and specification.origin else Path()
+    folder = site / "cmeel.prefix" / "share" / "example-robot-data"
+    urdf = folder / "robots" / "panda_description" / "urdf" / "panda.urdf"
+    if not urdf.is_file():
+        raise InputError(
+            f"robot file {urdf.name!r} not found; install it with: pip install example-robot-data", "panda"
+        )
+    files = RobotFiles(urdf, {"example-robot-data": folder})
+    # Franka Emika, Panda datasheet (2020): payload 3 kg, grasping force continuous 70 N. Rubber on dry aluminium has a
+    # friction above 0.5.
+    arm = ArmDescription(
         name="panda",
-        folder="cmeel.prefix/share/example-robot-data",
-        urdf="robots/panda_description/urdf/panda.urdf",
+        files=files,
         base_link="panda_link0",
         flange_link="panda_link8",
-        arm_joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
-        hand_links=("panda_hand", "panda_leftfinger", "panda_rightfinger"),
-        finger_links=("panda_leftfinger", "panda_rightfinger"),
-        finger_joints=("panda_finger_joint1", "panda_finger_joint2"),
-        T_hand_tool=(0.0, 0.0, 0.1034),
-        maximum_opening=0.08,
-        payload=3.0,  # Franka Emika, Panda datasheet (2020): payload 3 kg, grasping force continuous 70 N
-        gripping_force=70.0,
-        friction=0.5,  # rubber on dry aluminium is above it
-        ik_module="ssik.prebuilt.franka_panda_ik",
+        joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
+        payload=3.0,
+        home=(0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398),
+        inverse_kinematics="ssik.prebuilt.franka_panda_ik",
     )
-}
+    hand = GripperDescription(
+        name="panda",
+        files=files,
+        base_link="panda_hand",
+        finger_links=("panda_leftfinger", "panda_rightfinger"),
+        joints=("panda_finger_joint1",),
+        openings=(0.0, 0.08),
+        positions=((0.0, 0.04),),
+        tool_points=((0.0, 0.0, 0.1034), (0.0, 0.0, 0.1034)),
+        tool_orientation=(1.0, 0.0, 0.0, 0.0),
+        gripping_force=70.0,
+        friction=0.5,
+    )
+    turn = -math.pi / 8  # half of the angle between hand and flange
+    return RobotDescription(arm, hand, (0.0, 0.0, 0.0, math.cos(turn), 0.0, 0.0, math.sin(turn)))
+
+
+ROBOTS = {"panda": _panda}
+
+
+@cache
+def _description(name: str) -> RobotDescription:
+    return ROBOTS[name]()
 
 
 def robot_description(name: str, where: str = "") -> RobotDescription:
     """The known robot of a given name.
 
     Raises:
+        InputError: the package with the robot's files is not installed.
         UnknownNameError: no such robot; the message lists the known ones.
     """
     if name not in ROBOTS:
         raise UnknownNameError("robot", name, list(ROBOTS), where)
-    return ROBOTS[name]
+    return _description(name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,9 +135,15 @@ class Workcell:
             raise InputError(f"{self.lift_height} m; must be above 0 and at most 1", f"{self.name}: lift_height")
         if not 0 <= self.clearance <= 0.02:
             raise InputError(f"{self.clearance} m; must be from 0 to 0.02", f"{self.name}: clearance")
+        arm, gripper = description.arm, description.gripper
+        standard = {
+            "payload": arm.payload,
+            "gripping_force": gripper.gripping_force,
+            "friction": gripper.friction,
+        }
         for name, unit, most in GRIPPER_LIMITS:
             if math.isnan(getattr(self, name)):
-                object.__setattr__(self, name, getattr(description, name))
+                object.__setattr__(self, name, standard[name])
             value = getattr(self, name)
             if not 0 < value <= most:
                 raise InputError(f"{value}{unit}; must be above 0 and at most {most:g}", f"{self.name}: robot.{name}")
@@ -180,4 +156,4 @@ class Workcell:
     @property
     def description(self) -> RobotDescription:
         """Files and link names of the robot."""
-        return ROBOTS[self.robot]
+        return robot_description(self.robot)
