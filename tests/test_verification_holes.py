@@ -17,7 +17,7 @@ from takeapart.geometry import Array
 from takeapart.plan import Grasp, PlanStep
 from takeapart.verification import Verifier, stand_under_gravity, verify_plan
 from takeapart.verification_checks import NOTHING_BELOW, check_schema, unsupported
-from takeapart.verification_model import mujoco
+from takeapart.verification_robot import mujoco
 from verification_scene import scene_assembly, scene_plan, scene_workcell, tool_rows
 
 

@@ -11,8 +11,9 @@ import numpy as np
 from takeapart.assembly import Assembly
 from takeapart.geometry import Array, rotation_from_quaternion
 from takeapart.verification_checks import unsupported
-from takeapart.verification_model import add_box, mujoco, place_body
+from takeapart.verification_model import add_box, place_body
 from takeapart.verification_report import Finding, VerificationOptions
+from takeapart.verification_robot import mujoco
 
 TIMESTEP = 0.002  # s
 CONTACT_BITS = (1, 1)
