@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly, Connector, Part
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import Box, OrientedBox, pose
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Box, OrientedBox, pose
 from takeapart.planning import SEARCHES, PlanningOptions, SearchName, build_problem, search
 from takeapart.search.exact import ExactOptions
 from takeapart.search.result import Budget

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.plan import Grasp
-from takeapart.problem import Counts, Guide
-from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.model.plan import Grasp
+from takeapart.problem import Guide
+from takeapart.removal.result import Blocked, Counts, Effort, Removal
 
 STRAIGHT_LINE = 0.8  # the a-priori bound of a part, as a share of its shortest hidden removal
 

@@ -18,7 +18,7 @@ from synthetic import (
     problem_with_dead_ends,
     random_problem,
 )
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.baselines import (
     BeamOptions,

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from small_assemblies import WORKCELL, three_bars, two_bars
-from takeapart.errors import InputError, UnknownNameError
 from takeapart.experiments.beyond_exact import BeyondSettings, beyond_jobs, compare_beyond
 from takeapart.experiments.beyond_report import BeyondRun, draw, lengths_markdown, means_markdown, runs_csv
 from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
 from takeapart.experiments.workers import LocalWorkers
-from takeapart.files import load_workcell, save_assembly
+from takeapart.formats.files import load_workcell, save_assembly
+from takeapart.model.errors import InputError, UnknownNameError
 
 
 def run_of(name: str, search: str, guided: bool, *trace: tuple[int, float]) -> BeyondRun:

@@ -22,11 +22,16 @@ from rich.console import Console
 import takeapart
 from example_documents import snapshot
 from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
-from takeapart import cli_compile, cli_generate, cli_plan, files, planning, profiles
-from takeapart.assembly import Assembly
-from takeapart.cli import main
-from takeapart.cli_output import progress_of
-from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
+from takeapart import planning
+from takeapart.cli import compile as cli_compile
+from takeapart.cli import generate as cli_generate
+from takeapart.cli import plan as cli_plan
+from takeapart.cli.commands import main
+from takeapart.cli.output import progress_of
+from takeapart.formats import files
+from takeapart.formats.files import load_assembly, load_plan, save_assembly, save_plan
+from takeapart.generate import profiles
+from takeapart.model.assembly import Assembly
 from takeapart.removal.planner import RemovalPlanner
 from verification_scene import scene_plan
 
@@ -194,7 +199,8 @@ def test_a_real_process_fails_without_a_traceback(folder: Path) -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys\nfrom takeapart.cli import main\ntry:\n    main(['plan', '--help'])\nexcept SystemExit:\n    pass\n"
+        "import sys\nfrom takeapart.cli.commands import main\n"
+        "try:\n    main(['plan', '--help'])\nexcept SystemExit:\n    pass\n"
         "print(sorted({'numpy', 'numba', 'mujoco', 'ssik', 'pydantic', 'rich', 'torch'} & set(sys.modules)))"
     )
     done = subprocess.run(

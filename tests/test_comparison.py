@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from synthetic import SyntheticProblem, random_problem
-from takeapart.assembly import Assembly
-from takeapart.errors import InputError
 from takeapart.experiments import comparison
 from takeapart.experiments.comparison import (
     SEARCHES,
@@ -24,7 +22,9 @@ from takeapart.experiments.comparison import (
     summary,
     table,
 )
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 from takeapart.search.result import Progress
 
 

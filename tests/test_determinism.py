@@ -14,12 +14,12 @@ import numpy as np
 
 import takeapart
 from small_assemblies import three_bars
-from takeapart.assembly import members
-from takeapart.plan import Plan
+from takeapart.formats.serialization import plan_document
+from takeapart.model.assembly import members
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
-from takeapart.serialization import plan_document
 from verification_scene import scene_workcell
 
 SLOW_LOADING = """

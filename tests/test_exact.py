@@ -17,7 +17,7 @@ from order_search_cases import (
     never_leaving,
 )
 from synthetic import InterruptedProblem, SyntheticProblem, exact_guide, problem_with_dead_ends, random_problem
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked
 from takeapart.search import lattice_bounds

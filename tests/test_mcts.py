@@ -17,7 +17,7 @@ from synthetic import (
     problem_with_dead_ends,
     random_problem,
 )
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.removal.result import Blocked, Effort
 from takeapart.search.mcts import Logbook, MctsOptions, Node, TreeSearch, mcts, normalised_returns, uct_values
 from takeapart.search.result import Budget, Progress, SearchResult

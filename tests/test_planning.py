@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from small_assemblies import deadlock, floating, three_bars, two_bars
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.formats.serialization import assembly_hash, plan_document, workcell_hash
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.plan import Plan
 from takeapart.planning import (
     SEARCHES,
     Infeasible,
@@ -26,7 +27,6 @@ from takeapart.planning import (
 )
 from takeapart.removal.result import Effort, Removal
 from takeapart.search.result import Budget
-from takeapart.serialization import assembly_hash, plan_document, workcell_hash
 from verification_scene import scene_workcell
 
 OPTIONS = PlanningOptions(budget=Budget(episodes=20))

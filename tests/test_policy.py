@@ -14,13 +14,13 @@ from click.testing import CliRunner
 
 from guide_cases import blocks
 from small_assemblies import WORKCELL, three_bars
-from takeapart.assembly import members
-from takeapart.cli import main
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly, load_plan, save_assembly
+from takeapart.cli.commands import main
+from takeapart.formats.files import data_path, load_assembly, load_plan, save_assembly
 from takeapart.guide.experience import read_experience
 from takeapart.guide.policy import LearnedGuide, guide_path, load_guide
 from takeapart.guide.weights import load_weights, save_weights
+from takeapart.model.assembly import members
+from takeapart.model.errors import InputError
 from takeapart.planning import PlanningOptions, build_problem, run_identity, search
 from takeapart.search.result import Budget
 from test_weights import drawn_weights
@@ -155,7 +155,7 @@ def test_misuse_is_told_in_one_line(folder: Path, arguments: list[str], message:
 def test_planning_imports_no_torch(folder: Path, guided: bool) -> None:
     save_weights(drawn_weights(), folder / "guide.safetensors")
     script = (
-        "import sys\nfrom takeapart.cli import main\n"
+        "import sys\nfrom takeapart.cli.commands import main\n"
         "try:\n    main(sys.argv[1:])\nfinally:\n"
         "    print(sorted({'torch', 'polars', 'safetensors'} & set(sys.modules)), file=sys.stderr)\n"
     )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from conftest import Edge, random_states
-from takeapart.assembly import Assembly, Part, members
-from takeapart.geometry import Box, pose
+from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.geometry import Box, pose
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalPlanner

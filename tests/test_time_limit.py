@@ -17,7 +17,8 @@ import pytest
 from order_search_cases import MaskedProblem, check_sequence
 from small_assemblies import three_bars
 from synthetic import members, random_problem
-from takeapart.plan import Plan
+from takeapart.formats.serialization import plan_document
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, SearchName, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.bounds import EdgeBounds
@@ -30,7 +31,6 @@ from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, Clock, SearchResult
-from takeapart.serialization import plan_document
 from takeapart.stability import ConnectorStability
 from verification_scene import scene_workcell
 

@@ -11,13 +11,13 @@ import pytest
 
 from mutation_table import scene_target
 from plan_mutations import MUTATIONS, with_wrist_turned
-from takeapart import verification_physics
-from takeapart.assembly import Assembly
-from takeapart.geometry import Array
-from takeapart.plan import Grasp, PlanStep
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array
+from takeapart.model.plan import Grasp, PlanStep
 from takeapart.verification import Verifier, stand_under_gravity, verify_plan
-from takeapart.verification_checks import NOTHING_BELOW, check_schema, unsupported
-from takeapart.verification_model import mujoco
+from takeapart.verification import physics as verification_physics
+from takeapart.verification.checks import NOTHING_BELOW, check_schema, unsupported
+from takeapart.verification.model import mujoco
 from verification_scene import scene_assembly, scene_plan, scene_workcell, tool_rows
 
 

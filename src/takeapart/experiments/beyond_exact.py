@@ -11,9 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.assembly import Assembly
-from takeapart.documents import write_atomically
-from takeapart.errors import InputError
 from takeapart.experiments.beyond_report import GUIDED, BeyondRun, beyond_markdown, draw, runs_csv
 from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
 from takeapart.experiments.jobs import Job
@@ -21,9 +18,12 @@ from takeapart.experiments.paper_figures import figure_modules
 from takeapart.experiments.schedule import Kept, ScheduleListener, run_schedule
 from takeapart.experiments.tables import replace_between_markers
 from takeapart.experiments.workers import Workers
-from takeapart.files import load_assembly, load_workcell
+from takeapart.formats.documents import write_atomically
+from takeapart.formats.files import load_assembly, load_workcell
+from takeapart.formats.messages import reason, shown
 from takeapart.guide.policy import guide_path
-from takeapart.messages import reason, shown
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 
 MARKER = "results-beyond"
 

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.errors import UnknownNameError
 from takeapart.experiments.jobs import Outcome
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import UnknownNameError
 from takeapart.planning import PlanningOptions, build_problem, of_candidates
 from takeapart.problem import AssemblyProblem, Guide
 from takeapart.search.baselines import BeamOptions, OrderOptions, beam, greedy
 from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
-from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.workcell import Workcell
 
 WIDEST_BEAM = 64

@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.documents import readable_json, write_atomically
-from takeapart.errors import InputError, UnknownNameError
 from takeapart.experiments.tables import markdown_table
-from takeapart.geometry import Array
+from takeapart.formats.documents import readable_json, write_atomically
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.geometry import Array
 from takeapart.planning import versions
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.planner import RemovalPlanner
@@ -38,7 +39,6 @@ from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.refinement import RefinementOptions
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
-from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell
 

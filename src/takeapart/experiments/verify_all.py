@@ -23,17 +23,17 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import members
-from takeapart.documents import write_atomically
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_plan, load_workcell, save_plan
-from takeapart.plan import Plan
+from takeapart.formats.documents import write_atomically
+from takeapart.formats.files import data_path, load_assembly, load_plan, load_workcell, save_plan
+from takeapart.model.assembly import members
+from takeapart.model.plan import Plan
 from takeapart.planning import SEARCHES, PlanningOptions, SearchName, build_problem, plan_of, search, sources_digest
 from takeapart.problem import AssemblyProblem
 from takeapart.search.baselines import BeamOptions
 from takeapart.search.result import Budget
 from takeapart.verification import Verifier, format_finding, states_of
-from takeapart.verification_checks import unsupported
+from takeapart.verification.checks import unsupported
 
 QUICK = ("single/03", "double/01")
 PLANS_MARKER, STABILITY_MARKER, SUMMARY_MARKER = "verify-all", "stability-agreement", "verify-all-summary"

@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
-from takeapart.errors import MissingExtraError
-from takeapart.geometry import Array, pose_inverse
+from takeapart.model.errors import MissingExtraError
+from takeapart.model.geometry import Array, pose_inverse
 from takeapart.robot.model import RobotModel
 
 NEARLY = 0.1  # rad; where a sample of all solutions is so near to the limits, some may be inside

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.errors import InputError
-from takeapart.geometry import Array, OrientedBox, pose_inverse
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, OrientedBox, pose_inverse
 from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
 from takeapart.robot.cover import SphereCover, sphere_cover
 from takeapart.robot.hand import move_load

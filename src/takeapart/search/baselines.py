@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.mcts import BudgetSpentError, Logbook

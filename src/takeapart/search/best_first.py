@@ -21,7 +21,7 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.problem import Guide, Problem
 from takeapart.search.inquiry import Edge, Inquiry, bounds_of
 from takeapart.search.lattice_bounds import TOLERANCE

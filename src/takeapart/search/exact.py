@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.best_first import BestFirstOptions, continue_best_first

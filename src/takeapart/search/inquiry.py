@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 
-from takeapart.assembly import members
+from takeapart.model.assembly import members
 from takeapart.problem import Problem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal

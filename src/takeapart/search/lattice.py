@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.assembly import members
 from takeapart.compilation import compiled
-from takeapart.errors import InputError
+from takeapart.model.assembly import members
+from takeapart.model.errors import InputError
 from takeapart.problem import Problem
 from takeapart.removal.result import never
 

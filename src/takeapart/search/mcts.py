@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal
 from takeapart.search.result import Budget, Clock, Progress, ProgressListener, SearchResult

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from takeapart.assembly import members
+from takeapart.model.assembly import members
 from takeapart.problem import Guide
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.inquiry import Edge, Inquiry, refusals_in

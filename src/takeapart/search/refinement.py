@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import ClosedEdge, EdgeBounds
 from takeapart.search.inquiry import Edge
 from takeapart.search.lattice import Lattice, Values

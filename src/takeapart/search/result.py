@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from takeapart.errors import InputError
-from takeapart.problem import Counts
-from takeapart.removal.result import Blocked, Removal
+from takeapart.model.errors import InputError
+from takeapart.removal.result import Blocked, Counts, Removal
 
 
 @dataclass(frozen=True)
