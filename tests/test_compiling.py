@@ -19,6 +19,7 @@ from takeapart.formats.files import load_workcell
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Box, pose
 from takeapart.model.plan import Grasp
+from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
 from takeapart.search.exact import ExactOptions, exact
@@ -79,10 +80,13 @@ class TwoParts:
     hindered_by = (0, 0)  # with it the enumeration of states is the compiled one
 
     def __init__(self) -> None:
-        self.counts = Counts()
+        self.counts, self.edge_bounds = Counts(), EdgeBounds([0.0, 0.0])
 
     def candidates(self, state: int) -> Sequence[int]:
         return [part for part in range(2) if state >> part & 1]
+
+    def hindrance(self, state: int, part: int) -> None:
+        return None
 
     def upper(self, state: int, part: int) -> float:
         return math.inf

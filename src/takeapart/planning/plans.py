@@ -35,8 +35,9 @@ from takeapart.search.baselines import (
     random_restarts,
 )
 from takeapart.search.exact import ExactOptions, SettledObserver, exact
-from takeapart.search.mcts import MctsOptions, TransitionObserver, mcts
+from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, History, ProgressListener, SearchResult
+from takeapart.search.session import TransitionObserver
 from takeapart.stability import ConnectorStability, require_support
 from takeapart.workcell import Workcell
 
@@ -334,11 +335,10 @@ def plan_of(
 
 def infeasible_of(problem: AssemblyProblem, result: SearchResult) -> Infeasible:
     """What blocked a search that found no order: the dead end with the fewest parts left."""
-    proved = bool(result.statistics.get("infeasible", 0.0)) or bool(result.statistics.get("explored", 0.0))
     if not result.refusals:
-        return Infeasible((), (), proved)
+        return Infeasible((), (), result.infeasible)
     state, refusals = result.refusals[0]
-    return Infeasible(tuple(problem.assembly.names(state)), explain(problem, state, refusals), proved)
+    return Infeasible(tuple(problem.assembly.names(state)), explain(problem, state, refusals), result.infeasible)
 
 
 def blocked_parts(problem: AssemblyProblem, state: int, refusals: Sequence[Blocked] = ()) -> list[Blocked]:

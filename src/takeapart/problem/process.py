@@ -38,8 +38,26 @@ class Problem(Protocol):
         """Planner calls spent so far."""
         ...
 
+    @property
+    def hindered_by(self) -> Sequence[int] | None:
+        """Per part number the state of those that must leave before it does: the part is a candidate of a state if they
+        share no part. None where candidates follow from no such masks; then conditions may be other than monotone.
+        """
+        ...
+
+    @property
+    def edge_bounds(self) -> EdgeBounds:
+        """Bounds on the cost of all edges, into which searches write what they learn; searches on one problem may share
+        them. A search asks for them once.
+        """
+        ...
+
     def candidates(self, state: int) -> Sequence[int]:
-        """Parts that gravity and lifting let go in this state, ascending; decided by masks alone, costs nothing."""
+        """Parts that gravity and lifting let go in this state, ascending; costs nothing."""
+        ...
+
+    def hindrance(self, state: int, part: int) -> Blocked | None:
+        """Why a part is no candidate of a state; None if it is one."""
         ...
 
     def upper(self, state: int, part: int) -> float:
@@ -51,7 +69,7 @@ class Problem(Protocol):
         ...
 
     def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
-        """The removal query: the only dear call; counted.
+        """The removal query: the only expensive call; counted.
 
         Raises:
             OutOfTimeError: `effort.is_late` said so before there was an answer; nothing was counted or learned.
@@ -112,10 +130,6 @@ class AssemblyProblem:
     def candidates(self, state: int) -> list[int]:
         """Parts that gravity, lifting and the gripper's limits let go in this state, ascending."""
         return [part for part in members(state) if not self.hindered_by[part] & state]
-
-    def static_lower(self, part: int) -> float:
-        """Length that no removal of the part with a grasp candidate of this planner falls below, m."""
-        return self.edge_bounds.static(part)
 
     def upper(self, state: int, part: int) -> float:
         """Length of the shortest known removal that is valid here, m; infinite if none is known."""

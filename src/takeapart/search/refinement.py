@@ -21,7 +21,7 @@ import numpy as np
 
 from takeapart.model.errors import InputError
 from takeapart.removal.bounds import ClosedEdge, EdgeBounds
-from takeapart.search.inquiry import Edge
+from takeapart.search.edge_queries import Edge
 from takeapart.search.lattice import Lattice, Values
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
 

@@ -15,29 +15,28 @@ from takeapart.model.assembly import members
 from takeapart.problem import Problem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal
-from takeapart.search.lattice import hindrances
-from takeapart.search.mcts import BudgetSpentError, Logbook
+from takeapart.search.session import BudgetSpentError, Session
 
 Edge = tuple[int, int]
 """State and part."""
 
 
-class Inquiry:
+class EdgeQueries:
     """The asking side of the searches that work with bounds; a context manager that ends its threads.
 
     Args:
-        log: its problem is asked, its budget is kept.
+        session: its problem is asked, its budget is kept.
         bounds: where the answers are booked.
         attempts: of every query, unless told otherwise.
         workers: threads that ask; one asks in the calling thread.
     """
 
-    def __init__(self, log: Logbook, bounds: EdgeBounds, attempts: int, workers: int) -> None:
-        self._log, self._bounds, self._attempts = log, bounds, attempts
+    def __init__(self, session: Session, bounds: EdgeBounds, attempts: int, workers: int) -> None:
+        self._session, self._bounds, self._attempts = session, bounds, attempts
         self._pool = ThreadPoolExecutor(workers, "removal-query") if workers > 1 else None
         self._cancelled = False
 
-    def __enter__(self) -> Inquiry:
+    def __enter__(self) -> EdgeQueries:
         return self
 
     def __exit__(
@@ -56,7 +55,7 @@ class Inquiry:
         Raises:
             BudgetSpentError: before anything is asked, or because the time ran out within the batch.
         """
-        clock = self._log.clock
+        clock = self._session.clock
         if clock.spent():
             raise BudgetSpentError
         room = clock.budget.queries - clock.queries
@@ -88,11 +87,11 @@ class Inquiry:
     def _query(self, edge: Edge, effort: Effort) -> Removal | Blocked | None:
         """The planner's answer; None where the time was over before there was one."""
         # Not clock.spent(): while threads are asking, the count of queries depends on their timing.
-        clock = self._log.clock
+        clock = self._session.clock
         if self._cancelled or clock.late():
             return None
         try:
-            return self._log.problem.remove(*edge, effort)
+            return self._session.problem.remove(*edge, effort)
         except OutOfTimeError:
             return None
 
@@ -107,37 +106,18 @@ class Inquiry:
         state, part = edge
         if isinstance(answer, Removal):
             self._bounds.add_removal(answer)
-            if self._log.observe is not None:
+            if self._session.observe is not None:
                 following = state & ~(1 << part)
-                self._log.observe(state, part, -answer.length, following, self._log.problem.candidates(following))
+                self._session.observe(
+                    state, part, -answer.length, following, self._session.problem.candidates(following)
+                )
         known = math.isfinite(self._bounds.upper(state, part))
         self._bounds.close(state, part, None if known or isinstance(answer, Removal) else answer)
 
 
-def bounds_of(problem: Problem) -> EdgeBounds:
-    """The problem's own `edge_bounds` if it has any (shared with other searches, kept on disk), otherwise new ones.
-
-    New ones start from the problem's `static_lower(part)` where it has that, from 0 otherwise.
-    """
-    own = getattr(problem, "edge_bounds", None)
-    if isinstance(own, EdgeBounds):
-        return own
-    static = getattr(problem, "static_lower", None)
-    root = problem.root
-    return EdgeBounds([static(i) if static and root >> i & 1 else 0.0 for i in range(root.bit_length())])
-
-
 def refusals_in(problem: Problem, bounds: EdgeBounds, state: int) -> list[Blocked]:
-    """Why each part of a dead end cannot leave: what the planner said or, where nothing may be lifted, what hinders.
-
-    The optional `hindrance(state, part)` of a problem tells gravity from lifting.
-    """
+    """Why each part of a dead end cannot leave: what the planner said or, where nothing may be lifted, what hinders."""
     parts = problem.candidates(state)
     if parts:
         return [bounds.refusal(state, part) or Blocked(part, "path", state & ~(1 << part)) for part in parts]
-    explain = getattr(problem, "hindrance", None)
-    if explain is not None:
-        return [refusal for part in members(state) if (refusal := explain(state, part)) is not None]
-    masks = hindrances(problem)
-    hindering = {part: masks[part] if masks else ~(1 << part) for part in members(state)}
-    return [Blocked(part, "stability", mask & state) for part, mask in hindering.items()]
+    return [refusal for part in members(state) if (refusal := problem.hindrance(state, part)) is not None]

@@ -7,8 +7,8 @@ from heapq import heappop, heappush
 from typing import NamedTuple
 
 from takeapart.search.lattice_bounds import TOLERANCE
-from takeapart.search.mcts import BudgetSpentError
 from takeapart.search.orders import Orders
+from takeapart.search.session import BudgetSpentError
 
 
 class _Waiting(NamedTuple):
@@ -30,7 +30,7 @@ class _Waiting(NamedTuple):
     settled: bool
 
 
-class Sweep:
+class WeightedAStar:
     """Weighted A* from the root to the goal.
 
     Args:
@@ -47,12 +47,12 @@ class Sweep:
         self.came_by: dict[int, tuple[int, int]] = {}
         self.number = 0
         h = sum(self.least_costs.values())
-        self.push(orders.log.problem.root, 0.0, h, weight * h, 0, -1, settled=True)
+        self.push(orders.session.problem.root, 0.0, h, weight * h, 0, -1, settled=True)
 
     def least(self) -> float:
         """No sequence is shorter, m; only for weight 1. What was pruned is no shorter than the best length."""
         ranks = [entry.rank for entry in self.in_hand] + [entry.rank for entry in self.waiting[:1]]
-        return min([*ranks, self.orders.log.best[0]])
+        return min([*ranks, self.orders.session.best[0]])
 
     def run(self, memory_limit: int, expansions: int | None) -> bool:
         """Until the goal comes first or nothing waits; False if a limit came first.
@@ -60,17 +60,19 @@ class Sweep:
         Raises:
             BudgetSpentError: the seconds are over; what waits is still there for `least`.
         """
-        log = self.orders.log
+        session = self.orders.session
         expanded = 0
         while self.waiting:
-            if log.clock.late() if self.lazy else log.clock.over():  # a sweep may go on for long without a query
+            if (
+                session.clock.late() if self.lazy else session.clock.over()
+            ):  # a sweep may go on for long without a query
                 raise BudgetSpentError
             self.in_hand = [heappop(self.waiting)]
             entry = self.in_hand[0]
-            if entry.rank >= log.best[0] - TOLERANCE:
+            if entry.rank >= session.best[0] - TOLERANCE:
                 return True  # nothing that waits leads to a plan shorter than the best by more than the factor w
             best_arrival = self.g.get(entry.state, math.inf)
-            if entry.g + entry.h < log.best[0] - TOLERANCE and (
+            if entry.g + entry.h < session.best[0] - TOLERANCE and (
                 entry.g <= best_arrival if entry.settled else entry.g < best_arrival
             ):
                 if not entry.settled:
@@ -93,7 +95,7 @@ class Sweep:
         guided = orders.guide is not None and self.lazy and self.weight > 1
         values = orders.guide([state])[0] if orders.guide is not None and guided else {}
         dead_end = True
-        for part in orders.log.problem.candidates(state):
+        for part in orders.session.problem.candidates(state):
             lower = orders.bounds.lower(state, part)
             if math.isfinite(lower):
                 dead_end = False
@@ -108,7 +110,7 @@ class Sweep:
 
     def push(self, state: int, g: float, h: float, estimate: float, before: int, part: int, settled: bool) -> None:
         """Let a state wait, unless it was reached as cheaply before or cannot beat the best plan."""
-        if g >= self.g.get(state, math.inf) or g + h >= self.orders.log.best[0] - TOLERANCE:
+        if g >= self.g.get(state, math.inf) or g + h >= self.orders.session.best[0] - TOLERANCE:
             return
         if settled:
             self.g[state], self.came_by[state] = g, (before, part)
@@ -126,7 +128,7 @@ class Sweep:
                 if following.settled or following.part in asked or bounds.is_closed(following.before, following.part):
                     break
                 self.in_hand.append(heappop(self.waiting))
-            orders.inquiry.ask([(each.before, each.part) for each in self.in_hand])
+            orders.edge_queries.ask([(each.before, each.part) for each in self.in_hand])
         for each in self.in_hand:
             cost = self.edge_cost(each)
             if math.isfinite(cost):
@@ -145,7 +147,7 @@ class Sweep:
     def order(self) -> list[int]:
         """Parts in the order in which they leave on the way to the goal."""
         parts, state = [], 0
-        while state != self.orders.log.problem.root:
+        while state != self.orders.session.problem.root:
             state, part = self.came_by[state]
             parts.append(part)
         return parts[::-1]
