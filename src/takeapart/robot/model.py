@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.geometry import Array, OrientedBox
+from takeapart.geometry import Array, OrientedBox, pose_inverse
 from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
+from takeapart.robot.gripper import gripper_boxes
 from takeapart.robot.hand import move_load
 from takeapart.robot.kinematics import forward
 from takeapart.robot.self_collision import BodyPair, ConvexBody
@@ -25,7 +26,6 @@ class RobotModel:
     Args:
         description: where the robot's files are.
         arm: arrays for the kernels.
-        fingers: (finger link, box in the hand's frame at opening 0, direction (3,) in which it opens).
         T_flange_tool: (4, 4).
         inflation: per covered link, how far its spheres reach beyond its hull, m.
         bodies: names of the covered links, in the order of the arrays.
@@ -35,7 +35,6 @@ class RobotModel:
 
     description: RobotDescription
     arm: ArmArrays
-    fingers: tuple[tuple[str, OrientedBox, Array], ...]
     T_flange_tool: Array
     inflation: Mapping[str, float]
     bodies: tuple[str, ...]
@@ -54,7 +53,7 @@ class RobotModel:
 
     def workspace(self, boxes: int = 64) -> Workspace:
         """Scratch memory for a load of at most so many boxes, fingers not counted; one for each thread."""
-        return workspace(self.arm, len(self.fingers) + boxes)
+        return workspace(self.arm, len(self.finger_boxes(0.0)) + boxes)
 
     @property
     def largest_ball(self) -> float:
@@ -70,15 +69,10 @@ class RobotModel:
         return T
 
     def finger_boxes(self, opening: float) -> list[OrientedBox]:
-        """Boxes of the fingers in the tool frame, for an opening between them, m."""
-        T_tool_hand = np.eye(4)
-        T_tool_hand[:3, 3] = -np.asarray(self.description.T_hand_tool)
-        moved = []
-        for _, box, direction in self.fingers:
-            T = box.T_frame_box.copy()
-            T[:3, 3] += direction * opening / 2
-            moved.append(OrientedBox(T_tool_hand @ T, box.half_extents))
-        return moved
+        """Boxes of what moves of the gripper in the tool frame, pads first, for an opening between the pads, m."""
+        pads, knuckles = gripper_boxes(self.description, opening)
+        T_tool_base = pose_inverse(self.description.gripper.T_base_tool(opening))
+        return [box.moved(T_tool_base) for box in (*pads, *knuckles)]
 
     def held(
         self, opening: float, T_tool_part: Array | None = None, body: Sequence[OrientedBox] = (), gripped: int = 1
