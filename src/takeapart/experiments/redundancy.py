@@ -16,7 +16,8 @@ from takeapart.model.assembly import members
 from takeapart.model.geometry import Array, pose_inverse
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.ik import import_solver
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 
 
 class MoreSolutions:
