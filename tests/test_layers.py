@@ -66,7 +66,7 @@ CONFINED = {
     "PIL": ("render*",),
     "matplotlib": ("render*", "report*", "experiments"),
     "ray": ("experiments",),
-    "ssik": ("robot.ik",),
+    "ssik": ("robot.ik_solver",),
     "pydantic": ("schemas",),
     "pydantic_core": ("schemas", "messages"),
     "sqlite3": ("run_journal",),
