@@ -38,7 +38,8 @@ from takeapart.motion.scene import Scene, is_free, new_scene
 from takeapart.motion.smooth import shorten
 from takeapart.removal.masks import flags_of
 from takeapart.robot.kinematics import tool_steps
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.robot.world import owner_fields, with_field
 
 STEP = 0.001  # m, see `piece_free`; what peers are given in radians is below

@@ -18,7 +18,8 @@ from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate
 from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell

@@ -180,7 +180,7 @@ def test_heavy_libraries_are_imported_only_where_they_are_used() -> None:
     program = (
         "import sys, takeapart.planning\n"
         "from takeapart.robot.ik import InverseKinematics\n"
-        "from takeapart.robot.model import load_robot\n"
+        "from takeapart.robot.loading import load_robot\n"
         "from takeapart.files import load_workcell\n"
         "load_robot(load_workcell('panda')) if sys.argv[1] == 'robot' else None\n"
         "InverseKinematics(load_robot(load_workcell('panda'))) if sys.argv[1] == 'robot' else None\n"

@@ -128,7 +128,7 @@ def compile_unit(name: str) -> None:
 
 
 def _load(workcell: Workcell) -> None:
-    from takeapart.robot.model import load_robot
+    from takeapart.robot.loading import load_robot
 
     load_robot(workcell)
 

@@ -122,7 +122,7 @@ def generate(
     from takeapart import profiles
     from takeapart.cells import cells_around
     from takeapart.files import load_workcell, save_assembly
-    from takeapart.robot.model import load_robot
+    from takeapart.robot.loading import load_robot
 
     options = profiles.ProfileOptions(layers, back, front, length, width, height, minimum_length, spacing, clearance)
     cell = load_workcell(workcell)

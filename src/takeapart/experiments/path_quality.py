@@ -25,7 +25,7 @@ from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Removal
-from takeapart.robot.model import load_robot
+from takeapart.robot.loading import load_robot
 from takeapart.stability import ConnectorStability
 
 

@@ -16,7 +16,8 @@ from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.geometry import Array, pose_inverse
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.ik import solver_of
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 
 
 class MoreSolutions:

@@ -27,7 +27,8 @@ from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Effort, Removal
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.kernels import FREE, check
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.search.result import Budget
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell

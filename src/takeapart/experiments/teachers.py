@@ -27,7 +27,8 @@ from takeapart.guide.experience import Experience, ExperienceWriter, Values, kno
 from takeapart.guide.policy import load_guide
 from takeapart.guide.training import TeacherName, TrainingOptions, train
 from takeapart.problem import AssemblyProblem, Guide
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.search.baselines import OrderOptions, greedy, random_order
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget

@@ -30,7 +30,8 @@ from takeapart.robot.arrays import Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import LARGEST_MARGIN
 from takeapart.robot.kinematics import tool_poses
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world, owner_fields, with_field
 from takeapart.workcell import Workcell
 

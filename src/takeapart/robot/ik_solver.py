@@ -99,7 +99,7 @@ def brought_solver(name: str, flange: Callable[[Array], Array], joints: int, whe
     error = float(np.linalg.norm((T_base_library @ other @ T_library_flange - own)[:, :3], axis=1).max())
     if error > SAME_ARM:
         raise InputError(
-            f"{name} is for another arm: wherever its base and flange stand, it misses this one by {1e3 * error:.3g} mm; "
+            f"{name} is for another arm: wherever its base and flange stand, it misses by {1e3 * error:.3g} mm; "
             "leave it empty to work it out from the URDF",
             where,
         )
