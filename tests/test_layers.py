@@ -69,7 +69,7 @@ CONFINED = {
     "PIL": ("pictures",),
     "matplotlib": ("pictures", "report", "experiments"),
     "ray": ("experiments",),
-    "ssik": ("robot.ik",),
+    "ssik": ("robot.ik_solver",),
     "pydantic": ("formats.schemas",),
     "pydantic_core": ("formats.schemas", "formats.messages"),
     "sqlite3": ("planning.run_journal",),
