@@ -1,85 +1,46 @@
-"""The verifier's own world: arm, hand, assembly and environment as a MuJoCo model.
+"""The verifier's own world: arm, gripper, assembly and environment as a MuJoCo model.
 
-The arm comes from its URDF with the collision meshes as they are (MuJoCo takes the convex hull of each mesh). Every
-part exists twice: as a static body in the assembly, and as a body on the hand; at any time at most one of them takes
-part in collisions. Nothing here is shared with the planner's kinematics or collision code.
+The robot comes from its URDF files with the collision geometry as it is (MuJoCo takes the convex hull of each mesh).
+Every part exists twice: as a static body in the assembly, and as a body on the gripper's base; at any time at most one
+of them takes part in collisions. Nothing here is shared with the planner's kinematics or collision code.
 """
 
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.model.assembly import Assembly
-from takeapart.model.errors import MissingExtraError
+from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, pose_inverse, quaternion_from_rotation
-from takeapart.workcell import RobotDescription, Workcell
-
-try:
-    import mujoco as mujoco  # verification_physics takes it from here
-except ImportError as missing:
-    raise MissingExtraError("verification", "verify", "mujoco") from missing
+from takeapart.verification.gripper import PadMeasure, pad_measure
+from takeapart.verification.robot import (
+    Joints,
+    compiled,
+    gripper_bodies,
+    gripper_prefix,
+    mujoco,
+    robot_specification,
+    unchecked_pairs,
+)
+from takeapart.verification.urdf import arm_branch, gripper_branch
+from takeapart.workcell import Workcell
 
 # MuJoCo counts its warnings, and the verifier reads the counts; it shall not print them and write them to a file too.
 mujoco.set_mju_user_warning(lambda message: None)
 
 # (contype, conaffinity): MuJoCo tests two geoms if a bit of one's contype is in the other's conaffinity: meshes of the
-# robot against everything. Two boxes are never left to it (held part or fingers against what stands, `near_boxes`):
-# its collider misses pairs of boxes that are apart but closer than the margin, or gives them three times the distance.
+# robot against everything. Two boxes are never left to it (held part or gripper against what stands, `near_boxes`): its
+# collider misses pairs of boxes that are apart but closer than the margin, or gives them three times the distance.
+# Boxes of the arm are turned into meshes.
 ROBOT_BITS = (1, 1 | 2 | 4 | 8)
 STATIC_BITS = (2, 0)
 HELD_BITS = (4, 0)
-FINGER_BITS = (8, 1)
+GRIPPER_BITS = (8, 1)
 ABSENT_BITS = (0, 0)
-
-OVERLAP_SAMPLES = 200  # configurations in which links must overlap to count as links that always do
-
-
-def robot_specification(description: RobotDescription) -> mujoco.MjSpec:
-    """Editable model of the robot from its URDF: collision geometry only, every link kept as a body."""
-    text = description.path(description.urdf).read_text(encoding="utf-8")
-    text = re.sub(r"<visual>.*?</visual>", "", text, flags=re.DOTALL)
-    text = re.sub(r'filename="(package://[^"]+)"', lambda found: f'filename="{description.resolve(found[1])}"', text)
-    # MuJoCo's defaults for URDF do not fit: fusestatic would merge the hand into the last arm link, strippath would
-    # drop the folders of the meshes, discardvisual would drop the parts that are not in the hand at the start.
-    compiler = '<compiler fusestatic="false" strippath="false" discardvisual="false" balanceinertia="true"/>'
-    return mujoco.MjSpec.from_string(text.replace("</robot>", f"<mujoco>{compiler}</mujoco></robot>"))
-
-
-@lru_cache(maxsize=8)
-def unchecked_pairs(description: RobotDescription) -> tuple[tuple[str, str], ...]:
-    """Pairs of the robot's links that may touch: the next link in the chain, links without geometry skipped, and links
-    that overlap in each of many configurations drawn here. No file is believed about it.
-    """
-    model = robot_specification(description).compile()
-    data = mujoco.MjData(model)
-    geoms = {
-        b: range(a, a + n) for b, (a, n) in enumerate(zip(model.body_geomadr, model.body_geomnum, strict=True)) if n
-    }
-    links = [body for body in geoms if body]
-
-    def before(body: int) -> int:
-        parent = int(model.body_parentid[body])
-        return parent if parent in geoms or not parent else before(parent)
-
-    pairs = list(itertools.combinations(links, 2))
-    found = [pair for pair in pairs if before(pair[1]) == pair[0] or before(pair[0]) == pair[1]]
-    doubtful = [pair for pair in pairs if pair not in found]
-    rng = np.random.default_rng(0)
-    for _ in range(OVERLAP_SAMPLES):
-        data.qpos[model.jnt_qposadr] = rng.uniform(model.jnt_range[:, 0], model.jnt_range[:, 1])
-        mujoco.mj_kinematics(model, data)
-        doubtful = [
-            (a, b)
-            for a, b in doubtful
-            if any(mujoco.mj_geomDistance(model, data, x, y, 1.0, None) < 0 for x in geoms[a] for y in geoms[b])
-        ]
-    return tuple((model.body(a).name, model.body(b).name) for a, b in [*found, *doubtful])
 
 
 def add_box(body: mujoco.MjsBody, box: OrientedBox, bits: tuple[int, int], margin: float = 0.0) -> mujoco.MjsGeom:
@@ -95,6 +56,14 @@ def add_box(body: mujoco.MjsBody, box: OrientedBox, bits: tuple[int, int], margi
     )
 
 
+def _as_mesh(specification: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:
+    """Turns a box into a mesh of the same corners."""
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * geom.size
+    name = f"box-{len(specification.meshes)}"
+    specification.add_mesh(name=name, uservert=corners.ravel())
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, name
+
+
 def place_body(body: mujoco.MjsBody, T_parent_body: Array) -> None:
     """Sets the pose (4, 4) of a body in its parent."""
     body.pos = T_parent_body[:3, 3]
@@ -102,10 +71,13 @@ def place_body(body: mujoco.MjsBody, T_parent_body: Array) -> None:
 
 
 class Scene:
-    """Arm, hand, assembly and environment; answers where the tool is and what is close to what.
+    """Arm, gripper, assembly and environment; answers where the tool is and what is close to what.
 
     Args:
         sight: pairs closer than this are seen by `near`, m.
+
+    Raises:
+        InputError: the robot's files cannot be read, or are not what the description says.
     """
 
     def __init__(self, assembly: Assembly, workcell: Workcell, sight: float) -> None:
@@ -113,39 +85,48 @@ class Scene:
         self.workcell = workcell
         self.sight = sight
         self.description = workcell.description
+        self.gripper = self.description.gripper
+        self._prefix = gripper_prefix(self.description)
         self.model = self._compile()
         self.data = mujoco.MjData(self.model)
         model = self.model
-        joints = [model.joint(name) for name in self.description.arm_joints]
-        self._arm = np.array([model.jnt_qposadr[joint.id] for joint in joints])
-        self._fingers = np.array([model.jnt_qposadr[model.joint(name).id] for name in self.description.finger_joints])
-        self.joint_limits: Array = np.array([model.jnt_range[joint.id] for joint in joints])  # (n, 2) rad
-        self._hand = model.body(self.description.hand_links[0]).id
+        self.joints = Joints(model, self.description)
+        self.joint_limits = self.joints.limits  # (n, 2) rad
+        self._hand = model.body(self._prefix + self.gripper.base_link).id
         self.static_bodies = [model.body(f"part/{part.name}").id for part in assembly.parts]
         self.held_bodies = [-1 if part.fixed else int(model.body(f"held/{part.name}").id) for part in assembly.parts]
         box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-        self._finger_boxes = np.nonzero(box & (model.geom_contype == FINGER_BITS[0]))[0]
-        self._boxes = np.empty(0, dtype=np.intp)  # of the fingers and the held part
+        self._gripper_boxes = np.nonzero(box & (model.geom_contype == GRIPPER_BITS[0]))[0]
+        self._boxes = np.empty(0, dtype=np.intp)  # of the gripper and the held part
         self._standing = np.empty(0, dtype=np.intp)
         self._standing_center: Array = np.empty((0, 3))  # m, world
         self._standing_reach: Array = np.empty((0, 3))  # m, half extents along the world's axes
         self.held: int | None = None
+        self.opening = 0.0  # m
+        self._T_hand_tool: Array = np.eye(4)
         self.show(assembly.root, None)
+        self.open(self.gripper.openings[0])
         self.place(workcell.home)
+        self.sides = self._sides()
 
     def _compile(self) -> mujoco.MjModel:
-        specification = robot_specification(self.description)
+        description = self.description
+        specification = robot_specification(description)
         # By default MuJoCo never tests a body against its parent; here `unchecked_pairs` decides.
         specification.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
-        place_body(specification.body(self.description.base_link), self.workcell.T_world_base)
+        place_body(specification.body(description.arm.base_link), self.workcell.T_world_base)
+        gripper = [self._prefix + link for link in gripper_branch(description).links]
         for body in specification.bodies:
             for geom in body.geoms:
                 is_box = geom.type == mujoco.mjtGeom.mjGEOM_BOX
-                geom.contype, geom.conaffinity = FINGER_BITS if is_box else ROBOT_BITS
+                if is_box and body.name not in gripper:
+                    _as_mesh(specification, geom)
+                    is_box = False
+                geom.contype, geom.conaffinity = GRIPPER_BITS if is_box else ROBOT_BITS
                 geom.margin = self.sight
-        for first, second in unchecked_pairs(self.description):
+        for first, second in unchecked_pairs(description):
             specification.add_exclude(bodyname1=first, bodyname2=second)
-        hand = specification.body(self.description.hand_links[0])
+        hand = specification.body(self._prefix + description.gripper.base_link)
         for i, part in enumerate(self.assembly.parts):
             static = specification.worldbody.add_body(name=f"part/{part.name}")
             place_body(static, part.T_world_part)
@@ -156,13 +137,50 @@ class Scene:
             held = hand.add_body(name=f"held/{part.name}")
             for box in self.assembly.body(i):
                 add_box(held, box, ABSENT_BITS, self.sight)
-            # The fingers do not move relative to the held part: `check_fingers` looks at them once per step.
-            for finger in self.description.finger_links:
-                specification.add_exclude(bodyname1=finger, bodyname2=f"held/{part.name}")
+            # The gripper does not move relative to the held part: `check_fingers` looks at it once per step.
+            for link in gripper:
+                specification.add_exclude(bodyname1=link, bodyname2=f"held/{part.name}")
         for obstacle in self.workcell.environment:
             body = specification.worldbody.add_body(name=f"environment/{obstacle.name}")
             add_box(body, obstacle.box, STATIC_BITS)
-        return specification.compile()
+        return compiled(specification, description)
+
+    def _sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Bodies of the finger links that stand on the negative and the positive side of the tool point along the
+        closing direction, with the gripper wide open."""
+        self.open(self.gripper.openings[-1])
+        mujoco.mj_kinematics(self.model, self.data)
+        sides: tuple[list[str], list[str]] = ([], [])
+        for link in self.gripper.finger_links:
+            corners = self.corners_in_tool(self.geoms(self._prefix + link))
+            sides[bool(corners[:, 1].mean() > 0)].append(self._prefix + link)
+        self.open(self.gripper.openings[0])
+        mujoco.mj_kinematics(self.model, self.data)
+        if not sides[0] or not sides[1]:
+            message = "all its finger links stand on one side of the tool point, by the closing direction stated"
+            raise InputError(message, f"gripper {self.gripper.name!r}")
+        return tuple(sides[0]), tuple(sides[1])
+
+    @property
+    def carried_links(self) -> list[str]:
+        """Bodies that do not move relative to the held part: the link that carries the gripper, what is fastened to
+        it, and the gripper. MuJoCo does not test them against the part."""
+        model = self.model
+        numbers = {b for b in range(model.nbody) if model.body_weldid[b] == model.body_weldid[self._hand]}
+        numbers |= set(gripper_bodies(model, self.description))
+        names = [str(model.body(b).name) for b in sorted(numbers)]
+        return [name for name in names if not name.startswith("held/") and self.geoms(name)]
+
+    @property
+    def finger_bodies(self) -> tuple[str, ...]:
+        """Bodies of the links with the pads."""
+        return tuple(self._prefix + link for link in self.gripper.finger_links)
+
+    @property
+    def base_bodies(self) -> list[str]:
+        """Bodies of the arm that never move."""
+        still = (str(self.model.body(name).name) for name in arm_branch(self.description).links)
+        return [name for name in still if not self.model.body_weldid[self.model.body(name).id] and self.geoms(name)]
 
     def label(self, geom: int) -> str:
         """Name of the body of a geom: a link, ``part/NAME``, ``held/NAME`` or ``environment/NAME``."""
@@ -183,7 +201,7 @@ class Scene:
                 self._set_bits(self.held_bodies[i], HELD_BITS if i == held else ABSENT_BITS)
         self.held = held
         held_geoms = [] if held is None else self.geoms(self.held_bodies[held])
-        self._boxes = np.array([*self._finger_boxes, *held_geoms], dtype=np.intp)
+        self._boxes = np.array([*self._gripper_boxes, *held_geoms], dtype=np.intp)
         self._standing = np.nonzero(self.model.geom_contype == STATIC_BITS[0])[0]
         mujoco.mj_kinematics(self.model, self.data)
         self._standing_center = self.data.geom_xpos[self._standing].copy()
@@ -200,24 +218,39 @@ class Scene:
         self.model.body_contype[body], self.model.body_conaffinity[body] = bits  # the broad phase reads these
 
     def grip(self, T_tool_part: Array, width: float) -> None:
-        """Fastens the held part to the hand and opens the fingers to a width, m."""
+        """Opens the gripper to a width, m, and fastens the held part to it."""
+        self.open(width)
         if self.held is not None:
-            T_hand_part = np.array(T_tool_part)
-            T_hand_part[:3, 3] += self.description.T_hand_tool
+            T_hand_part = self._T_hand_tool @ T_tool_part
             body = self.held_bodies[self.held]
             self.model.body_pos[body] = T_hand_part[:3, 3]
             self.model.body_quat[body] = quaternion_from_rotation(T_hand_part[:3, :3])
-        self.data.qpos[self._fingers] = width / 2
+
+    def open(self, width: float) -> None:
+        """Sets the joints of the gripper, and with them the tool frame, to an opening, m."""
+        self.opening = width
+        self._T_hand_tool = self.gripper.T_base_tool(width)
+        self.joints.set_opening(self.data, width)
 
     def place(self, configuration: Array) -> None:
         """Moves the arm to joint angles (n,), rad."""
-        self.data.qpos[self._arm] = configuration
+        self.joints.set_arm(self.data, configuration)
         mujoco.mj_kinematics(self.model, self.data)
 
     def tool(self) -> tuple[Array, Array]:
         """Position (3,), m, and rotation (3, 3) of the tool frame in the world."""
-        R = self.data.xmat[self._hand].reshape(3, 3).copy()
-        return self.data.xpos[self._hand] + R @ np.array(self.description.T_hand_tool), R
+        R = self.data.xmat[self._hand].reshape(3, 3)
+        return self.data.xpos[self._hand] + R @ self._T_hand_tool[:3, 3], R @ self._T_hand_tool[:3, :3]
+
+    def pads(self) -> tuple[PadMeasure, PadMeasure]:
+        """What is met from the tool point along the negative and the positive closing direction: by the fingers of the
+        one side, and of the other."""
+        position, R = self.tool()
+        minus, plus = (
+            pad_measure(self.model, self.data, [g for body in side for g in self.geoms(body)], position, sign * R[:, 1])
+            for side, sign in zip(self.sides, (-1.0, 1.0), strict=True)
+        )
+        return minus, plus
 
     def corners_in_tool(self, geoms: Sequence[int]) -> Array:
         """Corners (8 k, 3), m, of the boxes around geoms, in the tool frame."""
@@ -248,7 +281,7 @@ class Scene:
         return bool(self.data.warning[mujoco.mjtWarning.mjWARN_CONTACTFULL].number)
 
     def near_boxes(self) -> tuple[NDArray[np.intp], Array]:
-        """As `near`, of the boxes of the held part and the fingers against those that stand: first by their extents
+        """As `near`, of the boxes of the held part and the gripper against those that stand: first by their extents
         along the world's axes, which never miss a pair, then by MuJoCo's distance."""
         center, reach = self.data.geom_xpos[self._boxes], self._reach(self._boxes)
         lower, upper = (center - reach).min(axis=0) - self.sight, (center + reach).max(axis=0) + self.sight
@@ -293,9 +326,9 @@ class Scene:
         return found
 
     def misplaced(self, tolerance: float) -> list[tuple[str, str, float]]:
-        """Things that overlap before anything moves, by more than the tolerance, m: the robot's base link in a part, a
+        """Things that overlap before anything moves, by more than the tolerance, m: the robot's base in a part, a
         removable part in an obstacle. Fixed parts may be let into obstacles, the base may stand on them."""
-        base = self.geoms(self.description.base_link)
+        base = [geom for body in self.base_bodies for geom in self.geoms(body)]
         parts = [geom for body in self.static_bodies for geom in self.geoms(body)]
         free = [
             geom

@@ -11,8 +11,9 @@ import numpy as np
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, rotation_from_quaternion
 from takeapart.verification.checks import unsupported
-from takeapart.verification.model import add_box, mujoco, place_body
+from takeapart.verification.model import add_box, place_body
 from takeapart.verification.report import Finding, VerificationOptions
+from takeapart.verification.robot import mujoco
 
 TIMESTEP = 0.002  # s
 CONTACT_BITS = (1, 1)

@@ -64,7 +64,8 @@ class Replay:
         ]
 
     def _check_home(self) -> list[Finding]:
-        """The arm at rest is within its limits and in nothing; its base may stand on what is there."""
+        """The arm at rest is within its limits, and neither in itself nor in anything; its base may stand on what is
+        there (MuJoCo does not test bodies that never move against each other)."""
         scene, home = self.scene, self.workcell.home
         findings = []
         for joint, (low, high) in enumerate(scene.joint_limits):
@@ -77,7 +78,7 @@ class Replay:
         for a, b in self._pairs():
             names = (scene.label(a), scene.label(b))
             depth = -scene.distance(a, b)
-            if depth > self.options.penetration and scene.description.base_link not in names and names not in seen:
+            if depth > self.options.penetration and names not in seen:
                 seen.add(names)
                 findings.append(Finding(None, "", None, "home", f"at rest {names[0]} is in {names[1]}", depth))
         return findings
@@ -133,7 +134,7 @@ class Replay:
         scene, options = self.scene, self.options
         carried = [
             *scene.geoms(scene.held_bodies[number]),
-            *(g for link in rigid_links(scene) for g in scene.geoms(link)),
+            *(g for link in scene.carried_links for g in scene.geoms(link)),
         ]
         points = np.vstack([np.zeros(3), scene.corners_in_tool(carried)])  # (P, 3) m, tool frame
         rows = np.asarray(step.joint_path, dtype=float)
@@ -157,17 +158,19 @@ class Replay:
         )
 
     def _check_fingers(self, step: PlanStep, k: int, number: int) -> list[Finding]:
-        """Both fingers touch the held part; neither they nor the hand cut into it. Constant along the path."""
+        """The gripper is at its opening, fingers of both sides touch the held part, and neither they nor the rest of
+        the gripper cut into it. Constant along the path."""
         scene, options = self.scene, self.options
         held = scene.geoms(scene.held_bodies[number])
         body = held[: len(self.assembly.parts[number].shape.boxes())]  # the rest are connector walls
-        findings = []
-        for finger in scene.description.finger_links:
-            gap = min(scene.distance(a, b) for a in scene.geoms(finger) for b in body)
+        findings = check_gripper(step, k, scene, options)
+        for side in scene.sides:
+            gap = min(scene.distance(a, b) for link in side for a in scene.geoms(link) for b in body)
             if gap > options.finger_gap:
-                message = f"{finger} does not touch {step.part!r}"
+                names = " and ".join(side)
+                message = f"{names} {'does' if len(side) == 1 else 'do'} not touch {step.part!r}"
                 findings.append(Finding(k, step.part, 0.0, "finger_contact", message, gap))
-        for link in rigid_links(scene):
+        for link in scene.carried_links:
             shortfall, distance = max(
                 (self._required_of_hand(link, b in body) - gap, gap)
                 for a in scene.geoms(link)
@@ -182,9 +185,9 @@ class Replay:
         return findings
 
     def _required_of_hand(self, link: str, of_part: bool) -> float:
-        """Distance, m, that a link which moves with the held part keeps from it: fingers touch the part itself, but
-        not the connectors that it carries."""
-        if link in self.scene.description.finger_links:
+        """Distance, m, that a link which does not move relative to the held part keeps from it: fingers touch the part
+        itself, but not the connectors that it carries."""
+        if link in self.scene.finger_bodies:
             return -self.options.penetration if of_part else self.clearance
         return self.clearance
 
@@ -235,15 +238,31 @@ class Replay:
         return closest
 
 
-def rigid_links(scene: Scene) -> list[str]:
-    """Links that do not move relative to the held part: MuJoCo never tests them against it, so `Replay` does."""
-    model = scene.model
-    hand = model.body(scene.description.hand_links[0]).id
-    welded = [b for b in range(model.nbody) if model.body_weldid[b] == model.body_weldid[hand]]
-    names = [str(model.body(b).name) for b in welded]
-    return [name for name in names if not name.startswith("held/") and scene.geoms(name)] + list(
-        scene.description.finger_links
-    )
+def check_gripper(step: PlanStep, k: int, scene: Scene, options: VerificationOptions) -> list[Finding]:
+    """The gripper can open so far, and its pads are then where its description says: half the opening from the tool
+    point on either side, and square to the closing direction."""
+    findings = []
+    name, opening = scene.gripper.name, scene.opening
+    for joint, position, (low, high) in scene.joints.beyond_limits(opening):
+        message = f"{joint} of {name} stands at {position:.4g}; {low:.4g} to {high:.4g} is valid"
+        findings.append(Finding(k, step.part, 0.0, "gripper", message))
+    for side, pad in zip(scene.sides, scene.pads(), strict=True):
+        names = " and ".join(side)
+        if math.isinf(pad.distance):
+            message = f"{names}: no pad beside the tool point at an opening of {1e3 * opening:.3f} mm"
+            findings.append(Finding(k, step.part, 0.0, "gripper", message))
+            continue
+        error = abs(pad.distance - opening / 2)
+        if error > options.finger_gap:
+            message = (
+                f"{names}: the pad is {1e3 * pad.distance:.3f} mm from the tool point at an opening of "
+                f"{1e3 * opening:.3f} mm; must be half of that"
+            )
+            findings.append(Finding(k, step.part, 0.0, "gripper", message, error))
+        if pad.tilt > options.pad_tilt:
+            message = f"{names}: the pad is {math.degrees(pad.tilt):.2f} deg off the square to the closing direction"
+            findings.append(Finding(k, step.part, 0.0, "gripper", message))
+    return findings
 
 
 def check_joint_limits(step: PlanStep, k: int, limits: Array) -> list[Finding]:

@@ -15,6 +15,7 @@ CheckName = Literal[
     "order",
     "grasp",
     "width",
+    "gripper",
     "finger_contact",
     "payload",
     "home",
@@ -64,7 +65,9 @@ class VerificationOptions:
         touching: parts closer than this at the start are neighbours (connectors leave 0.5 mm play).
         width_tolerance: difference of the opening and the part's extent along the closing axis.
         square_tolerance: angle between the closing axis and the normals of the gripped faces.
-        finger_gap: largest distance of each finger from the held part.
+        finger_gap: largest distance of the fingers of each side from the held part, and of their pads from where the
+            gripper's description has them at the opening.
+        pad_tilt: angle between the pads and the square to the closing direction.
         joint_jump, tool_jump: largest step between two rows of a path, in any joint and of the tool's position.
         length_tolerance: of lengths, total and bound.
         physics_seconds, physics_shift, physics_tilt: how long a state must stand under gravity; a part that moves or
@@ -84,6 +87,7 @@ class VerificationOptions:
     width_tolerance: float = 1e-5
     square_tolerance: float = math.radians(0.05)
     finger_gap: float = 1e-4
+    pad_tilt: float = math.radians(0.5)
     joint_jump: float = 0.1
     tool_jump: float = 0.02
     length_tolerance: float = 1e-6
