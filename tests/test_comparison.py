@@ -12,7 +12,7 @@ import pytest
 from synthetic import SyntheticProblem, random_problem
 from takeapart.experiments import comparison
 from takeapart.experiments.comparison import (
-    SEARCHES,
+    COMPARED,
     Comparison,
     Outcome,
     comma_separated,
@@ -28,7 +28,7 @@ from takeapart.model.errors import InputError
 from takeapart.search.result import Progress
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize("name", COMPARED)
 def test_no_search_asks_more_than_its_budget(name: str) -> None:
     for queries in (5, 30, 100):
         problem: SyntheticProblem = random_problem(8, 3)

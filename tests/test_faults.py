@@ -40,6 +40,8 @@ from takeapart.planning.runs import Identity, RunBudget, open_run
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
+from takeapart.search.exact import ExactOptions
+from takeapart.search.mcts import MctsOptions
 from takeapart.search.result import Budget
 from verification_scene import scene_workcell
 
@@ -63,9 +65,10 @@ def undisturbed(search: str) -> dict[str, object]:
 
 
 def options_for(search: str, workers: int = 1) -> PlanningOptions:
-    options = replace(OPTIONS, search=search)  # type: ignore[arg-type]
-    memory = replace(options.mcts, memory="paper", attempts=2)
-    return replace(options, mcts=memory, exact=replace(options.exact, workers=workers))
+    options = replace(OPTIONS, search=search)
+    if search == "mcts":
+        return replace(options, search_options=MctsOptions(memory="paper", attempts=2))
+    return replace(options, search_options=ExactOptions(workers=workers)) if search == "exact" else options
 
 
 @contextmanager

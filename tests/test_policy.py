@@ -63,7 +63,7 @@ def test_every_guided_search_asks_the_guide_and_plans(name: str) -> None:
         asked.extend(states)
         return [dict.fromkeys(members(state), -1.0) for state in states]
 
-    options = PlanningOptions(search=name, budget=Budget(episodes=5))  # type: ignore[arg-type]
+    options = PlanningOptions(search=name, budget=Budget(episodes=5))
     problem = build_problem(three_bars(), scene_workcell(), options)
     assert len(search(problem, options, guide).removals) == 3
     assert asked
@@ -137,10 +137,13 @@ def test_from_recording_to_a_guided_plan_on_the_command_line(folder: Path) -> No
     [
         (["--guide", "none.safetensors"], "none.safetensors: there is no such file"),
         (
-            ["--search", "greedy", "--guide", "none"],
-            "--guide goes with --search exact, mcts, beam only, not with greedy",
+            ["--search", "restarts", "--guide", "none"],
+            "--guide goes with --search exact, best-first, mcts, beam, greedy only, not with restarts",
         ),
-        (["--search", "beam", "--experience", "x"], "--experience goes with --search exact, mcts only, not with beam"),
+        (
+            ["--search", "beam", "--experience", "x"],
+            "--experience goes with --search exact, best-first, mcts only, not with beam",
+        ),
         (["--experience", "product.json"], "no folder for experience can be made there"),
     ],
 )

@@ -19,7 +19,7 @@ from small_assemblies import three_bars
 from synthetic import members, random_problem
 from takeapart.formats.serialization import plan_document
 from takeapart.model.plan import Plan
-from takeapart.planning import PlanningOptions, SearchName, plan_of, search
+from takeapart.planning import PlanningOptions, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
@@ -138,7 +138,7 @@ def test_a_refusal_that_is_cut_is_none() -> None:
 
 @pytest.mark.parametrize("name", ["exact", "mcts", "beam", "greedy", "random"])
 def test_a_run_that_was_cut_goes_on_to_the_same_plan(
-    bars: RemovalPlanner, name: SearchName, monkeypatch: pytest.MonkeyPatch
+    bars: RemovalPlanner, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = PlanningOptions(search=name, budget=Budget(episodes=3))
 

@@ -19,9 +19,8 @@ from takeapart.cli.output import (
     progress_bar,
     workcell_option,
 )
+from takeapart.experiments.compared import COMPARED
 from takeapart.model.errors import InputError
-
-SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "exact")  # experiments.comparison
 
 
 @click.command(
@@ -33,7 +32,7 @@ SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "
 @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, help="Runs of each search per assembly.")
 @click.option("--count", type=click.IntRange(1), help="Only the first so many assemblies.  [default: all]")
 @click.option(
-    "--search", "searches", type=click.Choice(SEARCHES), multiple=True, help="Only these searches.  [default: all]"
+    "--search", "searches", type=click.Choice(COMPARED), multiple=True, help="Only these searches.  [default: all]"
 )
 @click.option(
     "--out", type=FOLDER, default=Path("comparison"), show_default=True, help="Folder of all results; made if needed."
@@ -64,7 +63,7 @@ def compare(
         raise InputError("holds no assembly files (*.json)", str(dataset))
     cell = load_workcell(workcell)
     assemblies = [load_assembly(file) for file in files[:count]]
-    settings = experiment.Comparison(budget_queries, seeds, searches or experiment.SEARCHES)
+    settings = experiment.Comparison(budget_queries, seeds, searches or COMPARED)
     make_folder(out)
     compile_first(cell)
     with progress_bar("comparing") as update:

@@ -20,10 +20,11 @@ from takeapart.cli.output import (
     require_output,
     seed_option,
 )
-from takeapart.cli.plan import SEARCHES, make_plan, options_of
+from takeapart.cli.plan import make_plan, options_of
 from takeapart.cli.plan_output import plan_summary, print_plan, save_or_explain
 from takeapart.cli.verify import print_verdict
 from takeapart.model.errors import MissingExtraError
+from takeapart.search.registry import SEARCHES
 
 if TYPE_CHECKING:
     from takeapart.model.assembly import Assembly
@@ -43,7 +44,7 @@ DEMO_WORKCELL = "panda"
     "--out", type=FOLDER, default=Path("out/demo"), show_default=True, help="Folder of plan.json; made if needed."
 )
 @click.option(
-    "--search", type=click.Choice(SEARCHES), default="exact", show_default=True, help="As of the command plan."
+    "--search", type=click.Choice(list(SEARCHES)), default="exact", show_default=True, help="As of the command plan."
 )
 @click.option(
     "--seconds",

@@ -31,6 +31,7 @@ from takeapart.cli.output import (
 from takeapart.cli.plan_output import plan_summary, print_plan, save_or_explain
 from takeapart.cli.view import keep_showing, live_view
 from takeapart.model.errors import MissingExtraError
+from takeapart.search.registry import SEARCHES, searches_that_take
 
 if TYPE_CHECKING:
     from takeapart.model.assembly import Assembly
@@ -40,8 +41,7 @@ if TYPE_CHECKING:
     from takeapart.search.result import Progress, ProgressListener
     from takeapart.workcell import Workcell
 
-GUIDED, RECORDED = ("exact", "mcts", "beam"), ("exact", "mcts")
-SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapart.planning.SEARCHES, without its imports
+GUIDED, RECORDED = searches_that_take("guide"), searches_that_take("observe")
 
 
 @click.command(
@@ -57,11 +57,10 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
 @workcell_option
 @click.option(
     "--search",
-    type=click.Choice(SEARCHES),
+    type=click.Choice(list(SEARCHES)),
     default="exact",
     show_default=True,
-    help="exact: best order, with a bound. mcts: Monte Carlo tree search as in the paper. beam: the best few states of "
-    "each size. greedy: always the shortest next removal. restarts: best of many random orders. random: one of them.",
+    help=" ".join(f"{name}: {entry.description}." for name, entry in SEARCHES.items()),
 )
 @seed_option
 @click.option(
@@ -123,15 +122,15 @@ SEARCHES = ("exact", "mcts", "beam", "greedy", "restarts", "random")  # takeapar
     "--guide",
     type=FILE,
     metavar="FILE|default",
-    help="exact, mcts, beam. Weights written by `takeapart train`, or the guide that comes with the package; it says "
-    "which part to try first.",
+    help=f"{', '.join(GUIDED)}. Weights written by `takeapart train`, or the guide that comes with the package; it "
+    "says which part to try first.",
 )
 @click.option(
     "--experience",
     type=FOLDER,
     metavar="DIR",
-    help="exact, mcts. Add all that the search sees to this folder, for `takeapart train`. Needs the extra guide: "
-    "pip install 'takeapart[guide]'.",
+    help=f"{', '.join(RECORDED)}. Add all that the search sees to this folder, for `takeapart train`. Needs the extra "
+    "guide: pip install 'takeapart[guide]'.",
 )
 @click.option(
     "--view",
@@ -217,24 +216,19 @@ def options_of(
     from takeapart.planning import PlanningOptions
     from takeapart.search.result import Budget
 
-    options = PlanningOptions(
-        search=search, seed=seed, budget=Budget(episodes or math.inf, seconds or math.inf, queries or math.inf)
-    )
-    refinement = options.exact.refinement if refine is None else replace(options.exact.refinement, passes=refine)
-    return replace(
-        options,
-        mcts=replace(options.mcts, memory=memory, attempts=attempts),
-        exact=replace(
-            options.exact,
-            attempts=attempts,
-            workers=workers,
-            refinement=refinement,
-            state_limit=states or options.exact.state_limit,
-        ),
-        beam=replace(options.beam, attempts=attempts),
-        order=replace(options.order, attempts=attempts),
-        restarts=replace(options.restarts, order=replace(options.restarts.order, attempts=attempts)),
-    )
+    budget = Budget(episodes or math.inf, seconds or math.inf, queries or math.inf)
+    chosen = SEARCHES[search].options()
+    if search == "restarts":
+        chosen = replace(chosen, order=replace(chosen.order, attempts=attempts))
+    else:
+        chosen = replace(chosen, attempts=attempts)
+    if search == "mcts":
+        chosen = replace(chosen, memory=memory)
+    if search == "exact":
+        refinement = chosen.refinement if refine is None else replace(chosen.refinement, passes=refine)
+        limit = states or chosen.state_limit
+        chosen = replace(chosen, workers=workers, refinement=refinement, state_limit=limit)
+    return PlanningOptions(search, seed, budget, search_options=chosen)
 
 
 def loaded_guide(guide: Path | None, assembly: Assembly) -> Guide | None:

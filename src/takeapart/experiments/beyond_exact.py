@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from takeapart.experiments.beyond_report import GUIDED, BeyondRun, beyond_markdown, draw, runs_csv
-from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
+from takeapart.experiments.beyond_tasks import SEARCHED, BeyondTask
 from takeapart.experiments.jobs import Job
 from takeapart.experiments.paper_figures import figure_modules
 from takeapart.experiments.schedule import Kept, ScheduleListener, run_schedule
@@ -75,7 +75,7 @@ def beyond_jobs(settings: BeyondSettings, assemblies: Sequence[Assembly]) -> lis
             BeyondTask(assembly, workcell, settings.seed, search, settings.queries, weights if guided else None),
         )
         for number, assembly in enumerate(assemblies, 1)
-        for search in RUNNERS
+        for search in SEARCHED
         for guided in GUIDED
     ]
 
@@ -84,7 +84,7 @@ def beyond_runs(assemblies: Sequence[Assembly], results: Mapping[str, Kept]) -> 
     """Results of all jobs."""
     runs = []
     for number, assembly in enumerate(assemblies, 1):
-        for search in RUNNERS:
+        for search in SEARCHED:
             for guided in GUIDED:
                 outcome = results[job_name(number, search, guided)].outcome
                 trace = tuple((int(asked), float(length)) for asked, _, length in outcome["trace"])

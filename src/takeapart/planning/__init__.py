@@ -1,12 +1,10 @@
 """From an assembly and a workcell to a plan: the one call that most users need, and runs that survive a kill."""
 
 from takeapart.planning.plans import (
-    SEARCHES,
     Hindrance,
     Infeasible,
     PlanningOptions,
     Recorder,
-    SearchName,
     blocked_parts,
     build_problem,
     explain,
@@ -20,6 +18,7 @@ from takeapart.planning.plans import (
     sources_digest,
     versions,
 )
+from takeapart.search.registry import SEARCHES
 
 __all__ = [
     "SEARCHES",
@@ -27,7 +26,6 @@ __all__ = [
     "Infeasible",
     "PlanningOptions",
     "Recorder",
-    "SearchName",
     "blocked_parts",
     "build_problem",
     "explain",

@@ -10,14 +10,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Protocol, cast, get_args
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 import takeapart
 from takeapart.formats.serialization import assembly_hash, workcell_hash
 from takeapart.model.assembly import Assembly, members
-from takeapart.model.errors import UnknownNameError
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.planning.runs import Identity, Run, RunBudget, finished_plan, open_run
 from takeapart.problem import AssemblyProblem, Guide, Problem
@@ -25,24 +25,12 @@ from takeapart.removal.journal import QueryJournal
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.reasons import Reason
 from takeapart.removal.result import Blocked, Removal, Stage
-from takeapart.search.baselines import (
-    BeamOptions,
-    OrderOptions,
-    RestartOptions,
-    beam,
-    greedy,
-    random_order,
-    random_restarts,
-)
-from takeapart.search.exact import ExactOptions, SettledObserver, exact
-from takeapart.search.mcts import MctsOptions, mcts
+from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, History, ProgressListener, SearchResult
-from takeapart.search.session import TransitionObserver
+from takeapart.search.session import SettledObserver, TransitionObserver
 from takeapart.stability import ConnectorStability, require_support
 from takeapart.workcell import Workcell
 
-SearchName = Literal["exact", "mcts", "beam", "greedy", "restarts", "random"]
-SEARCHES: tuple[SearchName, ...] = get_args(SearchName)
 MAXIMUM_HISTORY = 400  # rows of a plan's search history
 TOLD = 6  # reasons in a sentence
 SHAPING_PACKAGES = ("numpy", "numba", "ssik", "example-robot-data")
@@ -53,28 +41,32 @@ class PlanningOptions:
     """How a plan is made.
 
     Args:
-        search: "exact" (best order with a bound), "mcts" (Sec. V-B), "beam", "greedy" (shortest next removal),
-            "restarts"
-            (random orders, the best is kept) or "random" (one random order).
+        search: name of a search, see `takeapart.search.registry.SEARCHES`.
         seed: of all random choices.
         budget: when to stop searching.
         removal: options of the removal planner.
-        mcts, exact, beam, order, restarts: options of the searches.
+        search_options: an instance of the search's own options dataclass; None for those in the registry.
     """
 
-    search: SearchName = "exact"
+    search: str = "exact"
     seed: int = 0
     budget: Budget = field(default_factory=Budget)
     removal: RemovalOptions = field(default_factory=RemovalOptions)
-    mcts: MctsOptions = field(default_factory=lambda: MctsOptions(attempts=1))
-    exact: ExactOptions = field(default_factory=ExactOptions)
-    beam: BeamOptions = field(default_factory=BeamOptions)
-    order: OrderOptions = field(default_factory=lambda: OrderOptions(monotone=True))
-    restarts: RestartOptions = field(default_factory=lambda: RestartOptions(OrderOptions(monotone=True)))
+    search_options: Any = None
 
     def __post_init__(self) -> None:
         if self.search not in SEARCHES:
             raise UnknownNameError("search", self.search, list(SEARCHES))
+        if self.search_options is not None:
+            given, valid = type(self.search_options), type(SEARCHES[self.search].options())
+            if given is not valid:
+                raise InputError(
+                    f"{given.__name__}; the search {self.search!r} takes {valid.__name__}", "search_options"
+                )
+
+    def of_search(self) -> Any:
+        """The options of the search."""
+        return self.search_options if self.search_options is not None else SEARCHES[self.search].options()
 
 
 class Recorder(Protocol):
@@ -161,7 +153,7 @@ def plan(
         listen: is told about progress.
         run: a directory in which all that is planned is kept at once; with it, a call that was cut off, however that
             happened, is continued by the same call, and the plan is the same. See `takeapart.planning.runs`.
-        record: is told what "exact" and "mcts" see, for learning a guide; other searches tell nothing.
+        record: is told what the search sees, for learning a guide, if the search tells (see the registry).
 
     Returns:
         The shortest plan found within the budget (also after Ctrl-C), or why there is none.
@@ -220,8 +212,9 @@ def run_identity(
 
     The sources are part of it: while they are worked on, the version stays the same, but the answers do not.
     """
-    described = asdict(options)
-    del described["seed"], described["exact"]["workers"]
+    described = asdict(options) | {"search_options": asdict(options.of_search())}
+    del described["seed"]
+    described["search_options"].pop("workers", None)
     return {
         "assembly": {"name": assembly.name, "hash": assembly_hash(assembly)},
         "workcell": {"name": workcell.name, "hash": workcell_hash(workcell)},
@@ -276,18 +269,10 @@ def _search(
     rng = np.random.default_rng([options.seed, 1])
     observe = record.observe if record is not None else None
     guide = of_candidates(guide, problem) if guide is not None else None
-    if options.search == "exact":
-        observe_settled = record.observe_settled if record is not None else None
-        return exact(problem, options.exact, options.budget, listen, guide, observe, observe_settled)
-    if options.search == "mcts":
-        return mcts(problem, options.mcts, options.budget, rng, guide, listen, observe)
-    if options.search == "beam":
-        return beam(problem, options.beam, options.budget, rng, listen, guide=guide)
-    if options.search == "greedy":
-        return greedy(problem, options.order, options.budget, rng, listen)
-    if options.search == "restarts":
-        return random_restarts(problem, options.restarts, options.budget, rng, listen)
-    return random_order(problem, options.order, options.budget, rng, listen)
+    observe_settled = record.observe_settled if record is not None else None
+    return SEARCHES[options.search].run(
+        problem, options.of_search(), options.budget, rng, listen, guide, observe, observe_settled
+    )
 
 
 def of_candidates(guide: Guide, problem: Problem) -> Guide:

@@ -21,7 +21,6 @@ What the numbers are:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from takeapart.model.errors import InputError
@@ -33,14 +32,17 @@ from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBo
 from takeapart.search.lazy_edges import LazyEdges, telling
 from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
-from takeapart.search.session import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentError, Session, TransitionObserver
+from takeapart.search.session import (
+    MAXIMUM_REFUSALS,
+    SECOND_LOOK,
+    BudgetSpentError,
+    Session,
+    SettledObserver,
+    TransitionObserver,
+)
 
 MANY_STATES = 500_000
 SETTLED_SECONDS = 0.1  # at least, also beyond the limit, to tell what is settled
-
-SettledObserver = Callable[[int, int, float, int, Sequence[int], float, float], None]
-"""Called as a `TransitionObserver`, then with the least and the greatest length, m, that the shortest sequence may have
-that begins with the removal; they are equal where it is known."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,11 @@ TransitionObserver = Callable[[int, int, float, int, Sequence[int]], None]
 """Called with (state, part, reward in m, next state, its candidates) for every removal that a query returned."""
 
 
+SettledObserver = Callable[[int, int, float, int, Sequence[int], float, float], None]
+"""Called as a `TransitionObserver`, then with the least and the greatest length, m, that the shortest sequence may have
+that begins with the removal; they are equal where it is known."""
+
+
 class Clock:
     """Tells when a budget is spent. `stop` ends the search from outside, as Ctrl-C does.
 
