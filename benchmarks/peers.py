@@ -30,15 +30,16 @@ import numpy as np
 from takeapart.compilation import compiled
 from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import pose_inverse
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.geometry import pose_inverse
 from takeapart.motion.edges import waypoints
 from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.scene import Scene, is_free, new_scene
 from takeapart.motion.smooth import shorten
 from takeapart.removal.masks import flags_of
 from takeapart.robot.kinematics import tool_steps
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.robot.world import owner_fields, with_field
 
 STEP = 0.001  # m, see `piece_free`; what peers are given in radians is below

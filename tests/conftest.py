@@ -9,16 +9,17 @@ import hypothesis
 import numpy as np
 import pytest
 
-from takeapart.assembly import Assembly, members
-from takeapart.files import data_path, load_workcell
-from takeapart.geometry import Array, OrientedBox
+from takeapart.formats.files import data_path, load_workcell
+from takeapart.generate.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
+from takeapart.model.assembly import Assembly, members
+from takeapart.model.geometry import Array, OrientedBox
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.problem import AssemblyProblem
-from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
 from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell

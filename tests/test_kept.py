@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from takeapart.files import load_workcell
-from takeapart.robot import model
+from takeapart.formats.files import load_workcell
+from takeapart.robot import covering
 from takeapart.robot.kept import keep, kept
-from takeapart.robot.model import load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.urdf import meshes
 
 
 @pytest.fixture
@@ -54,8 +55,8 @@ def test_a_robot_is_the_same_from_kept_arrays_and_from_damaged_ones(folder: Path
     first = load_robot(load_workcell("panda"))
     for file in folder.glob("c*.npy"):  # covers and corners, not the tables
         file.write_bytes(file.read_bytes()[:-8])
-    model._mesh_cover.cache_clear()
-    model._mesh_corners.cache_clear()
+    covering._kept_cover.cache_clear()
+    meshes._file_corners.cache_clear()
     again = load_robot(load_workcell("panda"))
     assert first.pairs == again.pairs
     for before, after in zip(first.arm, again.arm, strict=True):

@@ -14,7 +14,7 @@ import pytest
 from ssik.prebuilt import franka_panda_ik
 
 from conftest import random_box, random_configurations, random_rotation, scene_of, world_around, world_of
-from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import (
     bisection,
@@ -74,7 +74,7 @@ def sampled(rows: Array, spacing: float) -> Iterator[Array]:
 
 def tool_of(robot: RobotModel, q: Array) -> Array:
     """Pose of the tool by the inverse kinematics library."""
-    return np.asarray(robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool)
+    return np.asarray(robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool(0.0))
 
 
 # ---- edges

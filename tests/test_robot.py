@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 from ssik.prebuilt import franka_panda_ik
 
 from conftest import random_box, random_configurations, world_of
-from takeapart.errors import InputError
-from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.robot.cover import small_triangles, sphere_cover
 from takeapart.robot.hand import collect_hand, hand_hits_load
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kinematics import forward
 from takeapart.robot.model import RobotModel, moved_load
-from takeapart.verification_model import place_body
-from takeapart.verification_robot import robot_specification
+from takeapart.verification.model import place_body
+from takeapart.verification.robot import robot_specification
 from takeapart.workcell import Workcell
 
 LINKS = [*(f"panda_link{i}" for i in range(8)), "panda_hand"]
@@ -282,7 +282,7 @@ def test_inverse_kinematics_gives_what_the_library_gives_for_these_limits(robot:
     """Samples inside the limits are used as they are: the library, asked for solutions inside, has no others."""
     ik = InverseKinematics(robot)
     T_base_world = pose_inverse(robot.T_world_base)
-    T_tool_flange = pose_inverse(robot.T_flange_tool)
+    T_tool_flange = pose_inverse(robot.T_flange_tool(0.0))
     for q in random_configurations(robot, 60, np.random.default_rng(11)):
         target = robot.tool_pose(q)
         expected = franka_panda_ik.solve(T_base_world @ target @ T_tool_flange, allow_rescue=False)

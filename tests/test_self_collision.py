@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from mesh_oracle import MeshOracle
-from takeapart.files import data_path, load_assembly
-from takeapart.geometry import Array, OrientedBox, pose
-from takeapart.plan import Grasp, PlanStep
+from takeapart.formats.files import data_path, load_assembly
+from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.model.plan import Grasp, PlanStep
 from takeapart.robot.arrays import TABLE_UNIT
 from takeapart.robot.kernels import FREE, HIT_SELF, check, near_pair_distance, placed
 from takeapart.robot.kinematics import place, set_motion, set_still
@@ -21,9 +21,9 @@ from takeapart.robot.model import RobotModel
 from takeapart.robot.self_collision import ConvexBody, body_pairs, distance_table, relative_pose
 from takeapart.robot.separation import separation
 from takeapart.robot.world import build_world
-from takeapart.verification_replay import Replay
-from takeapart.verification_report import VerificationOptions
-from takeapart.verification_robot import unchecked_pairs
+from takeapart.verification.replay import Replay
+from takeapart.verification.report import VerificationOptions
+from takeapart.verification.robot import unchecked_pairs
 from takeapart.workcell import Workcell
 
 BELIEVED_BEFORE = (  # the hand stands in link 5, which the robot's SRDF says need not be checked

@@ -16,13 +16,13 @@ from ssik.prebuilt import franka_panda_ik
 from box_oracle import box_distance
 from mutation_table import ASSEMBLIES, judged, scene_target, shipped_target
 from plan_mutations import MUTATIONS, Corrupted
-from takeapart.assembly import Assembly, Connector, members
 from takeapart.experiments import verify_all
-from takeapart.files import load_assembly, load_plan, load_workcell
-from takeapart.geometry import Array, OrientedBox, box_separation, pose, quaternion_from_rotation
-from takeapart.plan import Plan, PlanStep
+from takeapart.formats.files import load_assembly, load_plan, load_workcell
+from takeapart.generate.profiles import ProfileOptions, candidate_rng, generate_candidate
+from takeapart.model.assembly import Assembly, Connector, members
+from takeapart.model.geometry import Array, OrientedBox, box_separation, pose, quaternion_from_rotation
+from takeapart.model.plan import Plan, PlanStep
 from takeapart.planning import SEARCHES
-from takeapart.profiles import ProfileOptions, candidate_rng, generate_candidate
 from takeapart.stability import ConnectorStability
 from takeapart.verification import (
     Finding,
@@ -35,10 +35,10 @@ from takeapart.verification import (
     states_of,
     verify_plan,
 )
-from takeapart.verification_checks import carriers, straight_line_bound, unsupported
-from takeapart.verification_model import Scene
-from takeapart.verification_replay import Replay
-from takeapart.verification_robot import mujoco
+from takeapart.verification.checks import carriers, straight_line_bound, unsupported
+from takeapart.verification.model import Scene
+from takeapart.verification.replay import Replay
+from takeapart.verification.robot import mujoco
 from takeapart.workcell import Obstacle, Workcell
 from verification_scene import (
     DOWNWARDS,

@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 from ssik.prebuilt import franka_panda_ik
 
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse, quaternion_from_rotation
-from takeapart.plan import Grasp, Plan, PlanStep
-from takeapart.serialization import assembly_hash, workcell_hash
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Array, Box, OrientedBox, pose, pose_inverse, quaternion_from_rotation
+from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.workcell import Obstacle, Workcell
 
 SPACING = 0.004  # m between rows

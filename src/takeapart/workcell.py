@@ -1,4 +1,4 @@
-"""The workcell: arm, gripper, drop-off point and obstacles; data only, read from TOML by `takeapart.files`.
+"""The workcell: arm, gripper, drop-off point and obstacles; data only, read from TOML by `takeapart.formats.files`.
 
 The world frame is the assembly's frame: a workcell says where its arm stands relative to the assembly.
 """
@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.geometry import Array, OrientedBox
+from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.geometry import Array, OrientedBox
 
 GRAVITY = 9.81  # m/s^2
 GRIPPER_LIMITS = (("payload", " kg", 1e4), ("gripping_force", " N", 1e6), ("friction", "", 10.0))  # name, unit, most
@@ -56,8 +56,8 @@ def _panda() -> RobotDescription:
         gripping_force=70.0,
         friction=0.5,
     )
-    turn = -math.pi / 8  # half of the angle between hand and flange
-    return RobotDescription(arm, hand, (0.0, 0.0, 0.0, math.cos(turn), 0.0, 0.0, math.sin(turn)))
+    # Turned by -45 degrees about z; the digits are those whose matrix is, to the last bit, that of the URDF.
+    return RobotDescription(arm, hand, (0.0, 0.0, 0.0, 0.9238795325112861, 0.0, 0.0, -0.38268343236508945))
 
 
 ROBOTS = {"panda": _panda}

@@ -16,8 +16,9 @@ import numpy as np
 
 from takeapart.experiments.speed import new_problem
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget
 from takeapart.workcell import Workcell

@@ -17,10 +17,10 @@ import numpy as np
 
 from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.removal import goals, paths, planner, reach, situation
 from takeapart.robot.ik import InverseKinematics
-from takeapart.robot.model import load_robot
+from takeapart.robot.loading import load_robot
 
 # What is timed: where it is looked up, its name there, what to call it.
 STAGES: tuple[tuple[Any, str, str], ...] = (

@@ -16,18 +16,19 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly
 from takeapart.compilation import compiled
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.generate.profiles import ProfileOptions, generate
+from takeapart.model.assembly import Assembly
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan_of, search
 from takeapart.problem import AssemblyProblem
-from takeapart.profiles import ProfileOptions, generate
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Effort, Removal
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.kernels import FREE, check
-from takeapart.robot.model import RobotModel, load_robot
+from takeapart.robot.loading import load_robot
+from takeapart.robot.model import RobotModel
 from takeapart.search.result import Budget
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.motion.edges import waypoints
 from takeapart.motion.legs import bends, two_legs
 from takeapart.motion.rrt import rrt_connect
@@ -281,7 +281,7 @@ class PathSearch:
         return self._path(path.number, rows, polished=moves >= options.shortening_moves)
 
     def _path(self, number: int, rows: Array, polished: bool = False) -> Path:
-        return Path(number, rows, self.situation.tool_length(rows), polished)
+        return Path(number, rows, self.situation.tool_length(number, rows), polished)
 
     def _seed(self) -> int:
         return int(self.rng.integers(1 << 62))

@@ -10,15 +10,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from takeapart.assembly import OVERLAP_TOLERANCE, Assembly
-from takeapart.errors import InputError
-from takeapart.geometry import Array, OrientedBox, box_separation
+from takeapart.model.assembly import OVERLAP_TOLERANCE, Assembly
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, OrientedBox, box_separation
 from takeapart.motion.blockers import configuration_blockers
 from takeapart.motion.scene import new_scene
 from takeapart.removal.goals import ORIENTATIONS, GoalConfigurations
 from takeapart.removal.wording import away, counted, millimetres, point
 from takeapart.robot.arrays import Workspace
 from takeapart.robot.extent import arm_extent
+from takeapart.robot.gripper import box_links
 from takeapart.robot.kinematics import forward
 from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world
@@ -103,7 +104,7 @@ def _facet_normals(first: Array, second: Array) -> Array:
 
 def _require_limits(workcell: Workcell, robot: RobotModel) -> None:
     for joint, angle, low, high in zip(
-        workcell.description.arm_joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
+        workcell.description.arm.joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
     ):
         if not low <= angle <= high:
             raise InputError(
@@ -139,20 +140,18 @@ def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel
     work = robot.workspace()
     forward(robot.arm, np.asarray(workcell.home, dtype=float), work)
     links = [hull.corners @ work.R[hull.frame].T + work.p[hull.frame] for hull in robot.hulls]
-    bodies = list(zip(robot.bodies, links, strict=True))
+    bodies = [  # the base may touch what it stands on
+        (name, corners) for name, corners, hull in zip(robot.bodies, links, robot.hulls, strict=True) if hull.frame
+    ]
     T_world_tool = robot.tool_pose(workcell.home, work)
-    for (name, _, _), box in zip(robot.fingers, robot.finger_boxes(0.0), strict=True):
+    for name, box in zip(box_links(robot.description), robot.finger_boxes(0.0), strict=True):
         bodies.append((name, box.moved(T_world_tool).corners()))
     around = [
         (name, box.corners())
         for bodies in (_permanent(assembly, workcell), _removable(assembly))
         for name, box in bodies
     ]
-    meetings = [
-        (overlap_depth(corners, others), link, name)
-        for link, corners in bodies[1:]  # the base may touch what it stands on
-        for name, others in around
-    ]
+    meetings = [(overlap_depth(corners, others), link, name) for link, corners in bodies for name, others in around]
     meetings += [
         (overlap_depth(links[pair.first], links[pair.second]), robot.bodies[pair.first], robot.bodies[pair.second])
         for pair in robot.pairs

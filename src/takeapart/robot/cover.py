@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,3 +96,8 @@ def sphere_cover(triangles: Array, normals: Array, inflation: float, rng: np.ran
     centers, sizes = np.array(centers_found), np.array(radii_found)
     # Balls may shrink to what they alone are needed for: each piece is given to the first ball that holds it.
     return SphereCover(centers, sizes, float((centers @ normals.T + sizes[:, None] - offsets).max()))
+
+
+def exact_cover(center: Array, radius: float) -> SphereCover:
+    """Of a ball: the ball itself."""
+    return SphereCover(np.array([center], dtype=float), np.array([radius]), 0.0)

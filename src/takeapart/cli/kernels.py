@@ -1,0 +1,146 @@
+"""The kernels that a plan needs, each with the types of its arguments: enough to compile them beforehand."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numba
+import numpy as np
+
+from takeapart.compilation import LeanKernel
+from takeapart.motion import blockers, edges, legs, lifts, rrt, scene, smooth
+from takeapart.robot import arrays, grid, hand, kernels, kinematics, self_collision, separation
+from takeapart.search import lattice, lattice_bounds
+
+ELEMENTS = {"Floats": float, "Integers": np.int32, "Flags": np.uint8, "Indices": np.int64, "Counters": np.uint64}
+ELEMENTS |= {"Distances": np.uint16, "RandomState": np.uint64}
+NUMBERS = {"int": 0, "float": 0.0}
+
+
+def example(form: type[Any]) -> Any:
+    """A named tuple of arrays of the declared types, with the dimensions that the comments beside them give.
+
+    Raises:
+        ValueError: an array whose comment does not begin with its shape.
+    """
+    shapes = dict(re.findall(r"^    (\w+): \w+  # \(([^)]*)\)", inspect.getsource(form), re.MULTILINE))
+    values: list[Any] = []
+    for name, declared in form.__annotations__.items():
+        kind = str(getattr(declared, "__forward_arg__", declared))  # annotations are not evaluated
+        if kind in ELEMENTS and name not in shapes:
+            raise ValueError(f"{form.__name__}.{name}: the comment must begin with the shape, as in '# (n, 3) m'")
+        if kind in ELEMENTS:
+            dimensions = len([size for size in shapes[name].split(",") if size.strip()])
+            values.append(np.zeros((1,) * dimensions, ELEMENTS[kind]))
+        else:
+            values.append(NUMBERS[kind] if kind in NUMBERS else example(getattr(arrays, kind)))
+    return form(*values)
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """What is compiled at once.
+
+    Args:
+        name: for people.
+        function: in Python.
+        dispatcher: numba's.
+        signature: types of the arguments, in numba's terms.
+        inner: whether it is there only to become part of others.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    dispatcher: Any
+    signature: tuple[Any, ...]
+    inner: bool
+
+
+@cache
+def units(orders: bool) -> dict[str, Unit]:
+    """By name. What others contain comes first, then what takes long.
+
+    Args:
+        orders: with the kernels of the search for orders of removals.
+    """
+    arm, held, world = (example(form) for form in (arrays.ArmArrays, arrays.HeldArrays, arrays.WorldArrays))
+    work, situation = example(arrays.Workspace), example(scene.Scene)
+    one, two, three = (np.zeros((1,) * k) for k in (1, 2, 3))
+    flags, table = np.zeros(1, np.uint8), np.zeros((1, 1), np.uint8)
+    int16, int32, int64 = (np.zeros(1, kind) for kind in (np.int16, np.int32, np.int64))
+    words, bits = np.zeros(1, np.uint64), np.zeros((1, 1), np.uint64)
+    shared = [
+        (kernels._hits_itself, (arm, held, 0.0, work)),
+        (kernels.held_hits_world, (arm, held, world, flags, 0.0, work, flags, True)),
+        (kernels.placed, (arm, held, world, flags, 0.0, work)),
+        (kernels.collect_placed, (arm, held, world, flags, 0.0, work, flags)),
+        (scene.look_at, (situation, one, one, 0.0, 0.0)),
+        (scene.piece_free, (situation, one, one)),
+        (scene.is_free, (situation, one)),
+        (edges.tool_edge, (situation, one, one, 0.0, two)),
+    ]
+    called = [
+        (separation.separation, (two, two, two, one, 0.0, 0.0, two)),
+        (self_collision._fill, (two, two, three, one, one, np.zeros((1, 1), np.uint16))),
+        (hand.hand_masks, (arm, held, world, flags, 0.0, 0.0, 0.0, three, three, one, 0.0, held, work, table, table)),
+        (blockers.path_blockers, (situation, two, flags)),
+        (legs.two_legs, (situation, two, two, two, 0, 0.0, 0.0, 0)),
+        (smooth.shorten, (situation, two, 0.0, 0, 0.0, 0.0, 0, 0)),
+        (rrt.rrt_connect, (situation, two, two, 0, 0.0, 0)),
+        (lifts.lift_ends, (situation, two, 0.0, three, table, flags)),
+        (lifts.complete_lifts, (situation, three, table, flags)),
+        (legs.one_leg, (situation, two, two, 0.0)),
+        (blockers.configuration_blockers, (situation, two, table)),
+        (kernels.check, (arm, held, world, flags, 0.0, one, work)),
+        (legs.bends, (world, flags, one, one, 0.0, 0, 0.0, 0)),
+        (edges.resampled, (situation, two, 0.0, True)),
+        (edges.waypoints, (situation, two, 0.0)),
+        (legs.near_pairs, (arm, two, two, 0)),
+        (legs.joint_distances, (arm, two, two)),
+        (hand.move_load, (held, two, held)),
+        (kinematics.forward, (arm, one, work)),
+        (kinematics.tool_poses, (arm, two, work, two)),
+        (kinematics.tool_steps, (arm, two, work, one)),
+        (kinematics.mark_solutions, (arm, two, two, work, flags)),
+        (grid.grid_fill, (two, three, two, one, 0.0, int32, 0.0, int32, int32, True)),
+        (grid.clearance_fields, (two, three, two, int32, one, 0.0, int32, 0.0, table)),
+    ]
+    of_orders = [
+        (lattice._count_candidates, (bits, bits)),
+        (lattice._expand_layer, (bits, bits, int16, int32, bits, int32)),
+        (lattice._group_by_part, (int64, int16, int64, int32, int32)),
+        (lattice._intersection, (bits, int32)),
+        (lattice.cost_to_go, (int64, int32, one, int32, one)),
+        (lattice.cost_from_root, (int64, int32, one, int32, one)),
+        (lattice_bounds._take_removal, (bits, int32, int32, words, 0.0, one, one)),
+        (lattice_bounds._take_closed, (bits, int32, int32, words, 0.0, one, one)),
+    ]
+    found = [_unit(kernel, arguments, inner=True) for kernel, arguments in shared]
+    found += [_unit(kernel, arguments) for kernel, arguments in [*called, *(of_orders if orders else [])]]
+    return {unit.name: unit for unit in found}
+
+
+def _unit(kernel: Any, arguments: tuple[Any, ...], inner: bool = False) -> Unit:
+    function, lean = kernel.py_func, isinstance(kernel, LeanKernel)
+    name = f"{function.__module__.removeprefix('takeapart.')}.{function.__name__}"
+    dispatcher = (kernel.inner if inner else kernel.called) if lean else kernel
+    return Unit(name, function, dispatcher, tuple(numba.typeof(argument) for argument in arguments), inner)
+
+
+def called_by(function: Callable[..., Any]) -> set[Callable[..., Any]]:
+    """The kernels, as functions in Python, that a kernel calls, and those that these call."""
+    found: set[Callable[..., Any]] = set()
+    waiting = [function]
+    while waiting:
+        caller = waiting.pop()
+        for name in caller.__code__.co_names:
+            called = getattr(caller.__globals__.get(name), "py_func", None)
+            if called is not None and called not in found:
+                found.add(called)
+                waiting.append(called)
+    return found

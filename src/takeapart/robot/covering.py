@@ -1,0 +1,114 @@
+"""Spheres around the bodies of a robot: how close by which rule, found once per shape and kept."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
+from takeapart.robot.chain import Body, Chain
+from takeapart.robot.cover import SphereCover, exact_cover, sphere_cover
+from takeapart.robot.kept import keep, kept
+from takeapart.robot.urdf import Geometry, Urdf, convex_corners
+from takeapart.robot.urdf.meshes import digest_of, hull_of
+
+# How far spheres may reach beyond a body's hull, m: the fewer spheres, the faster, and what comes near the parts wants
+# close ones.
+BASE_INFLATION, ARM_INFLATION, WRIST_INFLATION, GRIPPER_INFLATION = 0.03, 0.025, 0.02, 0.015
+WRIST_SHARE = 0.25  # of the length of the chain, before the flange: joints there move a wrist
+LARGEST_SHARE = 0.25  # of a body's longest edge: small bodies have closer spheres
+LEAST_INFLATION = 0.004  # m
+
+
+def inflations(bodies: Sequence[Body], chain: Chain) -> list[float]:
+    """How far the spheres of each body may reach beyond its hull, m."""
+    steps = [float(np.linalg.norm(T[:3, 3])) for T in chain.T_joint[1:]]
+    steps.append(float(np.linalg.norm(chain.T_last_flange[:3, 3])))
+    to_flange = np.cumsum(steps[::-1])[::-1]  # from the origin of each joint's frame, along the chain
+    found = []
+    for body in bodies:
+        if body.of_gripper:
+            rule = GRIPPER_INFLATION
+        elif body.frame == 0:
+            rule = BASE_INFLATION
+        elif to_flange[body.frame - 1] <= WRIST_SHARE * to_flange[0]:
+            rule = WRIST_INFLATION
+        else:
+            rule = ARM_INFLATION
+        edge = float(np.ptp(body_corners(body), axis=0).max())
+        found.append(max(min(rule, LARGEST_SHARE * edge), LEAST_INFLATION))
+    return found
+
+
+def body_cover(body: Body, inflation: float) -> SphereCover:
+    """Spheres around the collision geometry of a body, in the frame of its link.
+
+    Raises:
+        InputError: a mesh is missing, cannot be read, or is flat.
+    """
+    parts = [_shape_cover(body.urdf, shape, inflation) for shape in body.urdf.links[body.link].collisions]
+    return SphereCover(
+        np.concatenate([part.centers for part in parts]),
+        np.concatenate([part.radii for part in parts]),
+        max(part.inflation for part in parts),
+    )
+
+
+def body_corners(body: Body) -> Array:
+    """Corners (V, 3), m, of the convex hull of all collision geometry of a body, in the frame of its link.
+
+    Raises:
+        InputError: a mesh is missing, cannot be read, or is flat.
+    """
+    corners = [convex_corners(body.urdf, shape) for shape in body.urdf.links[body.link].collisions]
+    if len(corners) == 1:
+        return corners[0]
+    return _together(body.urdf.where, *(np.ascontiguousarray(found).tobytes() for found in corners))
+
+
+@lru_cache(maxsize=256)
+def _together(where: str, *corners: bytes) -> Array:
+    points = np.concatenate([np.frombuffer(data).reshape(-1, 3) for data in corners])
+    name = f"hull-1-{hashlib.sha256(points.tobytes()).hexdigest()[:24]}"
+    known = kept(name)
+    if known is not None and known.ndim == 2 and known.shape[1] == 3 and len(known) > 3 and np.isfinite(known).all():
+        return np.ascontiguousarray(known, dtype=float)
+    found, _, _ = hull_of(points, where)
+    keep(name, found)
+    return found
+
+
+def _shape_cover(urdf: Urdf, shape: Geometry, inflation: float) -> SphereCover:
+    """In the frame of the shape's link."""
+    if shape.kind == "sphere":
+        return exact_cover(shape.T_link[:3, 3], shape.size[0])
+    placed = Geometry(shape.kind, np.eye(4), shape.size, shape.uri)
+    name = f"{shape.kind}-{shape.size}"
+    if shape.kind == "mesh":
+        path = urdf.files.resolve(shape.uri)
+        name = digest_of(path)[:24]
+        if shape.size != (1.0, 1.0, 1.0):
+            name = f"{name}-{shape.size}"
+    if len(name) > 24:
+        name = hashlib.sha256(name.encode()).hexdigest()[:24]
+    found = _kept_cover(f"cover-2-{name}-{inflation * 1e4:.0f}", convex_corners(urdf, placed).tobytes(), inflation)
+    T = shape.T_link
+    return SphereCover(found.centers @ T[:3, :3].T + T[:3, 3], found.radii, found.inflation)
+
+
+@lru_cache(maxsize=256)
+def _kept_cover(name: str, corners: bytes, inflation: float) -> SphereCover:
+    """Cover of a convex polyhedron with corners (V, 3); kept in the cache folder."""
+    rows = kept(name)
+    if rows is not None and rows.ndim == 2 and rows.shape[1] == 4 and len(rows) > 1 and np.isfinite(rows).all():
+        return SphereCover(rows[1:, :3], rows[1:, 3], float(rows[0, 3]))
+    vertices, faces, normals = hull_of(np.frombuffer(corners).reshape(-1, 3), name)
+    found = sphere_cover(vertices[faces], normals, inflation, np.random.default_rng(0))
+    if not np.isfinite(found.centers).all():
+        raise InputError("no spheres were found around it", name)
+    keep(name, np.vstack([[0, 0, 0, found.inflation], np.column_stack([found.centers, found.radii])]))
+    return found
