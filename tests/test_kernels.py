@@ -21,6 +21,7 @@ from conftest import (
     world_around,
     world_of,
 )
+from takeapart.formats.robot_files import load_robot_description
 from takeapart.model.assembly import Assembly, Part, members
 from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.removal.masks import flags_of
@@ -278,7 +279,8 @@ def turned_scene(seed: int) -> tuple[Assembly, Workcell]:
         if np.linalg.norm(box.T_frame_box[:3, 3] - base[:3, 3]) > 0.45:
             boxes.append(box)
     obstacles = tuple(Obstacle(f"box{i}", box) for i, box in enumerate(boxes))
-    return assembly, Workcell("turned", "panda", base, home, np.array([0.3, 0.0, 0.5]), environment=obstacles)
+    panda = load_robot_description("panda")
+    return assembly, Workcell("turned", panda, base, home, np.array([0.3, 0.0, 0.5]), environment=obstacles)
 
 
 def test_no_missed_collision_among_boxes_turned_anyhow(monkeypatch: pytest.MonkeyPatch) -> None:

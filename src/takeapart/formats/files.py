@@ -10,13 +10,15 @@ import numpy as np
 
 from takeapart.formats.documents import read_json, read_toml, readable_json, write_atomically
 from takeapart.formats.messages import shortened, shown
+from takeapart.formats.robot_files import load_robot_description
 from takeapart.formats.schemas import AssemblyModel, BoxModel, PlanModel, PoseModel, StepModel, WorkcellModel, validated
 from takeapart.formats.serialization import assembly_document, assembly_hash, plan_document, workcell_hash
+from takeapart.formats.shipped import data_path
 from takeapart.model.assembly import Assembly, Connector, Part
 from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.geometry import Array, Box, OrientedBox, pose
 from takeapart.model.plan import Grasp, Plan, PlanStep
-from takeapart.workcell import Obstacle, Workcell, robot_description
+from takeapart.workcell import Obstacle, Workcell
 
 __all__ = [
     "assembly_hash",
@@ -36,24 +38,6 @@ MAXIMUM_WORKCELL_BYTES = 64 * 2**10
 MAXIMUM_WALLS = 8_000  # of all connectors together; the test for overlap grows with its square
 
 PathLike = str | os.PathLike[str]
-
-
-def data_path(relative: str) -> Path:
-    """A file or folder that comes with the package, for example ``data_path("single/01.json")``.
-
-    The data stand in ``takeapart/data`` where the package was installed, at the top of the repository in a checkout.
-
-    Raises:
-        InputError: nothing of this name is shipped.
-    """
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "data", package.parents[1] / "data"):
-        found = (folder / relative).resolve()
-        if found.exists() and found.is_relative_to(folder):
-            return found
-    raise InputError(
-        "no such file comes with takeapart; its data may be missing from the installation", shown(relative)
-    )
 
 
 def load_assembly(path: PathLike) -> Assembly:
@@ -149,13 +133,18 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
         text = str(shipped[text])
     where = shown(text)
     model = validated(WorkcellModel, read_toml(text, MAXIMUM_WORKCELL_BYTES), where)
-    robot_description(_nameable(model.robot.model), f"{where}: robot.model")
+    robot = model.robot
+    key = "model" if robot.description is None else "description"
+    named = robot.model if robot.description is None else robot.description
+    description = load_robot_description(
+        named or "", robot.gripper, robot.mount, Path(text).parent, f"{where}: robot.{key}"
+    )
     try:
         return Workcell(
             name=model.name,
-            robot=model.robot.model,
+            description=description,
             T_world_base=_pose(model.robot.base),
-            home=np.array(model.robot.home, dtype=float),
+            home=np.array(description.arm.home if robot.home is None else robot.home, dtype=float),
             goal=np.array(model.goal, dtype=float),
             lift_height=model.lift_height,
             clearance=model.clearance,
