@@ -312,6 +312,8 @@ def plan_of(
         versions=versions(),
         assembly=assembly.name,
         workcell=workcell.name,
+        robot=workcell.description.name,
+        joints=workcell.description.arm.joints,
     )
 
 

@@ -258,7 +258,10 @@ def _check(plan: Plan, steps: tuple[PlanStep, ...], assembly: Assembly, workcell
     where = f"plan of {plan.assembly}"
     if assembly_hash(assembly) != plan.hashes.get("assembly"):
         raise InputError(f"was made for another assembly than {assembly.name!r}; give its own with --assembly", where)
-    joints = len(workcell.description.arm_joints)
+    joints = workcell.description.arm.joints
+    if plan.joints and plan.joints != joints:
+        message = f"moves joints {', '.join(plan.joints)}; those of the workcell's arm are {', '.join(joints)}"
+        raise InputError(message, where)
     seen: set[str] = set()
     for number, step in enumerate(steps):
         place = f"{where}: steps[{number}] ({step.part})"
@@ -269,5 +272,5 @@ def _check(plan: Plan, steps: tuple[PlanStep, ...], assembly: Assembly, workcell
         seen.add(step.part)
         if len(step.joint_path) < 2 or len(step.joint_path) != len(step.tool_path):
             raise InputError("joint path and tool path must have the same number of rows, at least 2", place)
-        if step.joint_path.shape[1] != joints:
-            raise InputError(f"{step.joint_path.shape[1]} joints; the arm of the workcell has {joints}", place)
+        if step.joint_path.shape[1] != len(joints):
+            raise InputError(f"{step.joint_path.shape[1]} joints; the arm of the workcell has {len(joints)}", place)
