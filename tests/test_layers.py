@@ -70,7 +70,7 @@ CONFINED = {
     "PIL": ("render*",),
     "matplotlib": ("render*", "report*", "experiments"),
     "ray": ("experiments",),
-    "ssik": ("robot.ik",),
+    "ssik": ("robot.ik_solver",),
     "pydantic": ("schemas", "robot_schemas"),
     "pydantic_core": ("schemas", "robot_schemas", "messages"),
     "sqlite3": ("run_journal",),

@@ -74,7 +74,7 @@ def sampled(rows: Array, spacing: float) -> Iterator[Array]:
 
 def tool_of(robot: RobotModel, q: Array) -> Array:
     """Pose of the tool by the inverse kinematics library."""
-    return np.asarray(robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool)
+    return np.asarray(robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool(0.0))
 
 
 # ---- edges

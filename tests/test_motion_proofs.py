@@ -198,7 +198,7 @@ def test_motions_called_free_are_free_of_the_arm_itself_at_fine_steps(robot: Rob
 def test_kinematics_of_the_brute_force_are_those_of_the_library(robot: RobotModel) -> None:
     rows = random_configurations(robot, 50, np.random.default_rng(63))
     for q, T in zip(rows, frames(robot.arm, rows)[:, -1], strict=True):
-        expected = robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool
+        expected = robot.T_world_base @ np.asarray(franka_panda_ik.fk(q)) @ robot.T_flange_tool(0.0)
         np.testing.assert_allclose(T, expected, atol=1e-9)
 
 

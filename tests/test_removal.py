@@ -653,7 +653,7 @@ def test_rows_are_so_close_that_the_joints_move_the_tool_no_further_than_stated(
     def excess(rows: Array) -> float:
         shares = np.linspace(0.0, 1.0, 101)[:, None]
         motion = np.concatenate([a + shares * (b - a) for a, b in pairwise(rows)])
-        return float(np.diff([situation.tool_length(motion), situation.tool_length(rows)][::-1])[0])
+        return float(np.diff([situation.tool_length(number, motion), situation.tool_length(number, rows)][::-1])[0])
 
     number = next(n for n in range(len(situation.hands)) if situation.branches(n))
     scene = situation.scene(number)
@@ -662,9 +662,9 @@ def test_rows_are_so_close_that_the_joints_move_the_tool_no_further_than_stated(
         ends = np.clip(ends, robot.arm.lower, robot.arm.upper)
         corners = np.concatenate([np.linspace(a, b, 12) for a, b in pairwise(ends)])  # a few centimetres apart
         rough = resampled(scene, corners, planner.options.row_spacing, True)
-        assert situation.tool_bend(rough) == pytest.approx(excess(rough), rel=0.02)
+        assert situation.tool_bend(number, rough) == pytest.approx(excess(rough), rel=0.02)
         bent += excess(rough) > 1e-4
-        rows = planner._close_rows(situation, scene, corners, True)
+        rows = planner._close_rows(situation, scene, number, corners, True)
         assert excess(rows) <= 5.1e-5
         np.testing.assert_allclose(rows[[0, -1]], corners[[0, -1]])
     assert bent > 6

@@ -281,7 +281,7 @@ def test_inverse_kinematics_gives_what_the_library_gives_for_these_limits(robot:
     """Samples inside the limits are used as they are: the library, asked for solutions inside, has no others."""
     ik = InverseKinematics(robot)
     T_base_world = pose_inverse(robot.T_world_base)
-    T_tool_flange = pose_inverse(robot.T_flange_tool)
+    T_tool_flange = pose_inverse(robot.T_flange_tool(0.0))
     for q in random_configurations(robot, 60, np.random.default_rng(11)):
         target = robot.tool_pose(q)
         expected = franka_panda_ik.solve(T_base_world @ target @ T_tool_flange, allow_rescue=False)

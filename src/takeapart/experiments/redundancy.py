@@ -15,7 +15,7 @@ from takeapart.assembly import members
 from takeapart.files import data_path, load_assembly, load_workcell
 from takeapart.geometry import Array, pose_inverse
 from takeapart.removal.planner import RemovalPlanner
-from takeapart.robot.ik import import_solver
+from takeapart.robot.ik import solver_of
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
 
@@ -24,28 +24,28 @@ class MoreSolutions:
     """Stands in for the inverse kinematics: solutions that Newton's method finds from random configurations."""
 
     def __init__(self, robot: RobotModel, count: int, rng: np.random.Generator) -> None:
-        self._solver = import_solver(robot.description.ik_module)
+        self._solver = solver_of(robot)
         self._T_base_world = pose_inverse(robot.T_world_base)
-        self._T_tool_flange = pose_inverse(robot.T_flange_tool)
         self._robot, self._count, self._rng = robot, count, rng
 
-    def solve(self, T_world_tool: Array) -> Array:
+    def solve(self, T_world_tool: Array, opening: float = 0.0) -> Array:
         """Distinct solutions (S, n), rad."""
-        T = self._T_base_world @ T_world_tool @ self._T_tool_flange
+        T_tool_flange = pose_inverse(self._robot.T_flange_tool(opening))
+        T = self._solver.to_library(self._T_base_world @ T_world_tool @ T_tool_flange)
         arm = self._robot.arm
         found: list[Array] = []
         for _ in range(self._count):
             seed = self._rng.uniform(arm.lower, arm.upper)
-            for solution in self._solver.solve(T, q_seed=seed, max_solutions=1, allow_rescue=False):
+            for solution in self._solver.module.solve(T, q_seed=seed, max_solutions=1, allow_rescue=False):
                 if all(np.abs(solution.q - q).max() > 1e-3 for q in found):
                     found.append(np.asarray(solution.q))
         return np.array(found).reshape(-1, self._robot.joints)
 
-    def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
+    def solve_both(self, T_world_tool: Array, opening: float = 0.0) -> tuple[Array, Array]:
         """For the pose, and turned by half a turn about the approach direction."""
         turned = T_world_tool.copy()
         turned[:3, :2] *= -1
-        return self.solve(T_world_tool), self.solve(turned)
+        return self.solve(T_world_tool, opening), self.solve(turned, opening)
 
 
 def main() -> None:

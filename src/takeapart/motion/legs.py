@@ -10,48 +10,39 @@ from takeapart.compilation import compiled
 from takeapart.motion.edges import MAXIMUM_ROWS, project_to_point, tool_edge
 from takeapart.motion.rrt import next_random
 from takeapart.motion.scene import Scene, is_free
-from takeapart.robot.arrays import Flags, Floats, Indices, WorldArrays
+from takeapart.robot.arrays import ArmArrays, Flags, Floats, Indices, WorldArrays
 from takeapart.robot.grid import line_free
-from takeapart.robot.kinematics import forward
+from takeapart.robot.kinematics import forward, squared_distance, wind
 
 
 @compiled
-def joint_distances(lifted: Floats, goals: Floats) -> Floats:
+def joint_distances(arm: ArmArrays, lifted: Floats, goals: Floats) -> Floats:
     """Squared distance (G,) in joint space, rad^2, from each of the goal configurations (G, n) to the nearest of the
-    lifted ones (A, n).
+    lifted ones (A, n); a goal counts as wound as near as it can be.
     """
-    n = goals.shape[1]
     distance = np.empty(len(goals))
     for g in range(len(goals)):
         distance[g] = math.inf
         for s in range(len(lifted)):
-            total = 0.0
-            for j in range(n):
-                d = goals[g, j] - lifted[s, j]
-                total += d * d
-            distance[g] = min(distance[g], total)
+            distance[g] = min(distance[g], squared_distance(arm, lifted[s], goals[g]))
     return distance
 
 
 @compiled
-def near_pairs(lifted: Floats, goals: Floats, each: int) -> Indices:
+def near_pairs(arm: ArmArrays, lifted: Floats, goals: Floats, each: int) -> Indices:
     """Pairs (P, 2) of a lifted and a goal configuration, `each` goals per lifted one.
 
     First come all lifted configurations with their nearest goal in joint space, the nearest pair first, then all with
-    their second nearest, and so on: neighbours on the same branch of the arm mostly succeed or fail together.
+    their second nearest, and so on: neighbours on the same branch of the arm mostly succeed or fail together. A goal
+    counts as wound as near as it can be.
     """
-    n = lifted.shape[1]
     each = min(each, len(goals))
     distance = np.empty((each, len(lifted)))
     goal_of = np.empty((each, len(lifted)), np.int64)
     apart = np.empty(len(goals))
     for s in range(len(lifted)):
         for g in range(len(goals)):
-            total = 0.0
-            for j in range(n):
-                d = goals[g, j] - lifted[s, j]
-                total += d * d
-            apart[g] = total
+            apart[g] = squared_distance(arm, lifted[s], goals[g])
         for k in range(each):
             nearest = int(np.argmin(apart))
             goal_of[k, s], distance[k, s] = nearest, apart[nearest]
@@ -66,15 +57,16 @@ def near_pairs(lifted: Floats, goals: Floats, each: int) -> Indices:
 @compiled
 def one_leg(scene: Scene, starts: Floats, ends: Floats, spacing: float) -> Floats:
     """Rows (M, n) of the first tool-straight path from a configuration of (P, n) to that in the same row of another
-    (P, n), all of them free; (0, n) if there is none.
+    (P, n), all of them free; (0, n) if there is none. Ends are wound as near to their starts as they can be.
 
     Args:
         spacing: see `tool_edge`.
     """
     n = starts.shape[1]
-    rows = np.empty((MAXIMUM_ROWS, n))
+    rows, end = np.empty((MAXIMUM_ROWS, n)), np.empty(n)
     for k in range(len(starts)):
-        count = tool_edge(scene, starts[k], ends[k], spacing, rows)
+        wind(scene.arm, ends[k], starts[k], end)
+        count = tool_edge(scene, starts[k], end, spacing, rows)
         if count:
             path = np.empty((count + 1, n))
             path[0] = starts[k]
@@ -156,9 +148,9 @@ def two_legs(
     forward(scene.arm, lifted[0], scene.work)
     a = scene.work.p_tool.copy()
     state = np.array([seed], dtype=np.uint64)
-    pairs = near_pairs(lifted, goals, 3)
+    pairs = near_pairs(scene.arm, lifted, goals, 3)
     first, second = np.empty((MAXIMUM_ROWS, n)), np.empty((MAXIMUM_ROWS, n))
-    via = np.empty(n)
+    via, goal = np.empty(n), np.empty(n)
     tried = 0
     tried_at = np.full(len(pairs), -1)  # the last point that each pair was tried with
     for k in range(len(points)):
@@ -173,7 +165,8 @@ def two_legs(
             if tried_at[pick] == k:
                 continue  # it would fail as it did
             tried_at[pick] = k
-            start, goal = lifted[pairs[pick, 0]], goals[pairs[pick, 1]]
+            start = lifted[pairs[pick, 0]]
+            wind(scene.arm, goals[pairs[pick, 1]], start, goal)
             share = math.sqrt(np.sum((points[k, :3] - a) ** 2)) / points[k, 3]
             for j in range(n):
                 via[j] = start[j] + share * (goal[j] - start[j])

@@ -9,7 +9,8 @@ import numpy as np
 from takeapart.compilation import compiled, compiled_lean
 from takeapart.motion.edges import joint_edge_free
 from takeapart.motion.scene import Scene
-from takeapart.robot.arrays import Floats, Integers, RandomState
+from takeapart.robot.arrays import ArmArrays, Floats, Integers, RandomState
+from takeapart.robot.kinematics import squared_distance, wind
 
 
 @compiled_lean
@@ -36,9 +37,23 @@ def _nearest(nodes: Floats, count: int, q: Floats) -> int:
     return found
 
 
+@compiled_lean
+def _nearest_wound(arm: ArmArrays, starts: Floats, q: Floats) -> int:
+    """The start (A, n) that a configuration can be wound nearest to."""
+    best, found = math.inf, 0
+    for k in range(len(starts)):
+        total = squared_distance(arm, starts[k], q)
+        if total < best:
+            best, found = total, k
+    return found
+
+
 @compiled
 def rrt_connect(scene: Scene, starts: Floats, goals: Floats, iterations: int, stride: float, seed: int) -> Floats:
-    """A free joint path from any start to any goal.
+    """A free joint path from any start to any goal; goals are wound as near to a start as they can be.
+
+    Joints that can turn further than once round are drawn within half a turn of a start, each start in its turn: every
+    pose of the links is there, and the trees do not spread over windings that lead nowhere else.
 
     Args:
         starts: (A, n) free configurations, rad.
@@ -57,12 +72,17 @@ def rrt_connect(scene: Scene, starts: Floats, goals: Floats, iterations: int, st
     count = np.array([len(starts), len(goals)])
     nodes[0, : count[0]] = starts
     nodes[1, : count[1]] = goals
+    if len(scene.arm.turning):
+        for g in range(len(goals)):
+            wind(scene.arm, goals[g], starts[_nearest_wound(scene.arm, starts, goals[g])], nodes[1, g])
     state = np.array([seed], dtype=np.uint64)
     q, target = np.empty(n), np.empty(n)
     side = 0
-    for _ in range(iterations):
+    for turn in range(iterations):
         for j in range(n):
             q[j] = scene.arm.lower[j] + (scene.arm.upper[j] - scene.arm.lower[j]) * next_random(state)
+        if len(scene.arm.turning):
+            wind(scene.arm, q, starts[turn % len(starts)], q)
         near = _nearest(nodes[side], count[side], q)
         distance = math.sqrt(np.sum((nodes[side, near] - q) ** 2))
         if distance > stride:

@@ -281,7 +281,7 @@ class PathSearch:
         return self._path(path.number, rows, polished=moves >= options.shortening_moves)
 
     def _path(self, number: int, rows: Array, polished: bool = False) -> Path:
-        return Path(number, rows, self.situation.tool_length(rows), polished)
+        return Path(number, rows, self.situation.tool_length(number, rows), polished)
 
     def _seed(self) -> int:
         return int(self.rng.integers(1 << 62))

@@ -104,7 +104,7 @@ def _facet_normals(first: Array, second: Array) -> Array:
 
 def _require_limits(workcell: Workcell, robot: RobotModel) -> None:
     for joint, angle, low, high in zip(
-        workcell.description.arm_joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
+        workcell.description.arm.joints, workcell.home, robot.arm.lower, robot.arm.upper, strict=True
     ):
         if not low <= angle <= high:
             raise InputError(

@@ -235,33 +235,37 @@ class RemovalPlanner:
         lift_hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
         lift_hits[-1] = 0
         for straighten in (True, False):  # as it was planned, if the straighter one hits something
-            rows = self._close_rows(situation, scene, path.rows, straighten)
+            rows = self._close_rows(situation, scene, path.number, path.rows, straighten)
             hits = lift_hits.copy()
             if len(rows) and path_blockers(scene, rows, hits) and not state_of(hits) & others:
                 break
         else:
             return None
         joint_path = np.concatenate([branch.rows[:-1], rows])
-        tool_path = self.tool_path(joint_path)
-        held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), situation.hands[path.number].candidate.width)
-        return Removal(part, held, joint_path, tool_path, situation.tool_length(joint_path), state_of(hits))
+        opening = situation.opening(path.number)
+        tool_path = self.tool_path(joint_path, opening)
+        held = Grasp(tool_path[0, :3].copy(), tool_path[0, 3:].copy(), opening)
+        length = situation.tool_length(path.number, joint_path)
+        return Removal(part, held, joint_path, tool_path, length, state_of(hits))
 
-    def _close_rows(self, situation: Situation, scene: Scene, rows: Array, straighten: bool) -> Array:
+    def _close_rows(self, situation: Situation, scene: Scene, number: int, rows: Array, straighten: bool) -> Array:
         """Rows (N, n) of a path so close that the joints move the tool no further between them than straight, but for
         `LARGEST_BEND` in all: what a plan states, from row to row, is what the arm does. (0, n) if they are too many.
         """
         spacing = self.options.row_spacing
         for _ in range(MAXIMUM_HALVINGS):
             found = resampled(scene, rows, spacing, straighten)
-            if len(found) < 2 or situation.tool_bend(found) <= LARGEST_BEND:
+            if len(found) < 2 or situation.tool_bend(number, found) <= LARGEST_BEND:
                 return found
             spacing /= 2
         return found[:0]
 
-    def tool_path(self, joint_path: Array) -> Array:
-        """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad."""
+    def tool_path(self, joint_path: Array, opening: float = 0.0) -> Array:
+        """Tool poses (M, 7): x, y, z, m, and quaternion w, x, y, z of every row of a joint path (M, n), rad, at an
+        opening of the fingers, m.
+        """
         poses = np.empty((len(joint_path), 7))
-        tool_poses(self.robot.arm, np.ascontiguousarray(joint_path), self.workspace(), poses)
+        tool_poses(self.robot.arm_at(opening), np.ascontiguousarray(joint_path), self.workspace(), poses)
         return poses
 
     def workspace(self) -> Workspace:

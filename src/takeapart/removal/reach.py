@@ -191,11 +191,11 @@ class Reach:
             T = self._assembly.parts[part].T_world_part @ hands[number].candidate.T_part_tool
             partner = hands[number].partner
             if partner is None or hands[partner].blockers is None:
-                self._solutions[key] = self._ik.solve(T)
+                self._solutions[key] = self._ik.solve(T, hands[number].candidate.width)
             else:  # the other finger order costs no inverse kinematics of its own
                 if partner < number:  # always from the first of the two, whichever is asked for first
                     T[:3, :2] *= -1
-                both = self._ik.solve_both(T)
+                both = self._ik.solve_both(T, hands[number].candidate.width)
                 for k, found in zip(sorted((number, partner)), both, strict=True):
                     self._solutions[part, k] = found
         return self._solutions[key]
@@ -232,7 +232,7 @@ class Reach:
             chosen = widths == width
             some_hits, some_lines = hits[chosen], lines[chosen]
             hand_masks(
-                self._robot.arm,
+                self._robot.arm_at(width),
                 load,
                 self._world,
                 everything,
@@ -290,10 +290,11 @@ class Reach:
 
     def _scene(self, part: int, number: int, work: Workspace) -> Scene:
         """The situation while the part is lifted; its load has flags of its own for what meets the world."""
-        held = self.hands(part, work)[number].held
+        hand = self.hands(part, work)[number]
+        arm, held = self._robot.arm_at(hand.candidate.width), hand.held
         everything = flags_of(self._assembly.root & ~(1 << part), len(self._assembly.parts))
         held = held._replace(meets_world=held.meets_world.copy())
-        return new_scene(self._robot.arm, held, self._world, everything, self._padding, self._step, work)
+        return new_scene(arm, held, self._world, everything, self._padding, self._step, work)
 
     def _solve_lifts(self, part: int, number: int, solutions: Array, work: Workspace) -> _Lifts:
         count, parts = len(solutions), len(self._assembly.parts)

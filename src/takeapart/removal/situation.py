@@ -10,7 +10,7 @@ import numpy as np
 from takeapart.geometry import Array
 from takeapart.motion.legs import one_leg
 from takeapart.motion.scene import Scene, new_scene
-from takeapart.removal.goals import GoalConfigurations
+from takeapart.removal.goals import GoalConfigurations, Neighbours
 from takeapart.removal.reach import Hand, LiftBranch, Reach
 from takeapart.removal.result import OutOfTimeError, never
 from takeapart.robot.arrays import Flags, Workspace, WorldArrays
@@ -83,15 +83,21 @@ class Situation:
 
     def lifted(self, number: int) -> Array:
         """Where these ways end, (A, n), rad; there must be one."""
-        return self.goals.neighbours(self.branches(number), self.work).lifted
+        return self._near(number).lifted
+
+    def opening(self, number: int) -> float:
+        """Of the fingers in a grasp, m."""
+        return self.hands[number].candidate.width
+
+    def _near(self, number: int) -> Neighbours:
+        return self.goals.neighbours(self.branches(number), self.work, self.opening(number))
 
     def scene(self, number: int) -> Scene:
         """The planning situation of the kernels, with a grasp in the hand."""
         if number not in self._scenes:
             held = self.hands[number].held
-            self._scenes[number] = new_scene(
-                self.robot.arm, held, self.world, self.present, self.padding, self.step, self.work
-            )
+            arm = self.robot.arm_at(self.opening(number))
+            self._scenes[number] = new_scene(arm, held, self.world, self.present, self.padding, self.step, self.work)
         return self._scenes[number]
 
     def is_line_open(self, number: int) -> bool:
@@ -104,8 +110,7 @@ class Situation:
         key = number, attempts, spacing
         if key not in self._straight_legs:
             self.look_at_clock()
-            near = self.goals.neighbours(self.branches(number), self.work)
-            hand = self.hands[number]
+            near, hand = self._near(number), self.hands[number]
             starts, ends = self.goals.free_pairs(near, self.part, hand, self.others, attempts, self.work)
             self._straight_legs[key] = one_leg(self.scene(number), starts, ends, spacing)
         return self._straight_legs[key]
@@ -115,13 +120,12 @@ class Situation:
         key = number, most
         if key not in self._free_goals:
             self.look_at_clock()
-            near = self.goals.neighbours(self.branches(number), self.work)
-            hand = self.hands[number]
+            near, hand = self._near(number), self.hands[number]
             self._free_goals[key] = self.goals.free(near, self.part, hand, self.others, most, self.work)
         return self._free_goals[key]
 
-    def tool_bend(self, rows: Array) -> float:
-        """How much further the joints move the tool than straight from row to row of (M, n), m.
+    def tool_bend(self, number: int, rows: Array) -> float:
+        """How much further the joints move the tool of a grasp than straight from row to row of (M, n), m.
 
         Halving the pieces leaves a quarter of it (a chord is shorter than its arc by the third power of its length), so
         what half as long pieces add is three quarters.
@@ -129,10 +133,10 @@ class Situation:
         halved = np.empty((2 * len(rows) - 1, rows.shape[1]))
         halved[::2] = rows
         halved[1::2] = (rows[1:] + rows[:-1]) / 2
-        return 4 / 3 * (self.tool_length(halved) - self.tool_length(rows))
+        return 4 / 3 * (self.tool_length(number, halved) - self.tool_length(number, rows))
 
-    def tool_length(self, rows: Array) -> float:
-        """Length, m, of the tool path (Eq. 2) of joint rows (M, n)."""
+    def tool_length(self, number: int, rows: Array) -> float:
+        """Length, m, of the tool path (Eq. 2) of joint rows (M, n) with a grasp."""
         steps = np.empty(len(rows) - 1)
-        tool_steps(self.robot.arm, rows, self.work, steps)
+        tool_steps(self.robot.arm_at(self.opening(number)), rows, self.work, steps)
         return float(steps.sum())

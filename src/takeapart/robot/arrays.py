@@ -33,6 +33,7 @@ class ArmArrays(NamedTuple):
     T_tool: Floats  # (3, 4) tool in the frame of the last joint
     lower: Floats  # (n,) rad
     upper: Floats  # (n,) rad
+    turning: Integers  # (W,) joints that can turn further than once round: one pose of their link has several angles
     sphere_center: Floats  # (S, 3) m, in the frame of the link that carries it
     sphere_x: Floats  # (S,) m, the same by coordinates: loops over them vectorise
     sphere_y: Floats  # (S,)
@@ -56,7 +57,10 @@ class ArmArrays(NamedTuple):
 
 
 class HeldArrays(NamedTuple):
-    """Boxes that move with the tool: the fingers, and the part they hold. Exact, no cover."""
+    """Boxes that move with the tool: what moves of the gripper, and the part it holds. Exact, no cover.
+
+    "Fingers" are all of the first: the pads, which may touch the part, and then the knuckles, which may not.
+    """
 
     center: Floats  # (H, 3) m, tool frame
     axes: Floats  # (H, 3, 3) rows are the box's axes in the tool frame
@@ -66,7 +70,8 @@ class HeldArrays(NamedTuple):
     probe_radius: Floats  # (C,) m
     probe_box: Integers  # (C,) box that the sphere belongs to
     group: Integers  # (3,) boxes group[0] .. group[1] are the fingers, group[1] .. group[2] the part
-    first_wall: int  # boxes from here on are walls of connectors: the fingers may not touch them
+    first_knuckle: int  # of the fingers those from here on are knuckles
+    first_wall: int  # boxes from here on are walls of connectors: the pads may not touch them
     group_center: Floats  # (2, 3) m, middle of a box around each group, tool frame
     group_axes: Floats  # (2, 3, 3) rows are its axes in the tool frame
     group_half: Floats  # (2, 3) m
@@ -93,7 +98,7 @@ class WorldArrays(NamedTuple):
 class Workspace(NamedTuple):
     """Scratch memory of one thread."""
 
-    q: Floats  # (n,) rad, configuration placed last
+    q: Floats  # (n,) rad, configuration placed last; what turns further than once round within one turn
     turn: Floats  # (n,) rad, how far each joint turns in the motion that is looked at
     R: Floats  # (n + 1, 3, 3) link frames
     p: Floats  # (n + 1, 3)

@@ -34,10 +34,15 @@ class Extent:
 def arm_extent(robot: RobotModel) -> Extent:
     """Reach of the arm: all joints are sampled within their limits, and the best samples are improved.
 
-    The same for every call. It is what was found, so never more than the arm can do.
+    Where the tool moves with the fingers' opening, it is that of the opening with which it reaches furthest. The same
+    for every call. It is what was found, so never more than the arm can do.
     """
+    return max((_extent_at(robot, opening) for opening in robot.tool_openings), key=lambda extent: extent.length)
+
+
+def _extent_at(robot: RobotModel, opening: float) -> Extent:
     rng = np.random.default_rng(0)
-    arm, work = robot.arm, robot.workspace()
+    arm, work = robot.arm_at(opening), robot.workspace()
     shoulder = (robot.T_world_base @ np.vstack([arm.T_joint[0], [0, 0, 0, 1]]))[:3, 3]
 
     def distances(rows: Array) -> Array:

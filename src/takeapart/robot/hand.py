@@ -52,8 +52,8 @@ def collect_hand(
 def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Workspace) -> bool:
     """Whether palm, wrist or fingers touch what they must not touch of the carried part.
 
-    That is the whole part for palm and wrist, and the walls of its connectors for the fingers. It is the same at every
-    configuration. Needs `collect_hand` first.
+    That is the whole part for palm, wrist and knuckles, and the walls of its connectors for the pads. It is the same at
+    every configuration. Needs `collect_hand` first.
     """
     n = len(arm.lower)
     for b in range(len(arm.body_frame)):
@@ -62,7 +62,7 @@ def hand_hits_load(arm: ArmArrays, held: HeldArrays, padding: float, work: Works
                 if body_meets_box(arm, b, work.box_center, work.box_axes, held.half, h, padding, work):
                     return True
     for f in range(held.group[0], held.group[1]):
-        for h in range(held.first_wall, held.group[2]):
+        for h in range(held.group[1] if f >= held.first_knuckle else held.first_wall, held.group[2]):
             if boxes_meet(
                 work.box_center[f],
                 work.box_axes[f],

@@ -1,37 +1,30 @@
-"""Inverse kinematics by the library ssik: every branch, at machine precision."""
+"""Inverse kinematics: every branch, at machine precision, inside the joint limits."""
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import sys
-from collections.abc import Sequence
-from importlib.machinery import ModuleSpec, PathFinder
-from types import ModuleType
+import threading
 from typing import Protocol
 
 import numpy as np
 
-from takeapart.errors import MissingExtraError
 from takeapart.geometry import Array, pose_inverse
+from takeapart.robot.ik_solver import FlangeSolver, brought_solver, made_solver
+from takeapart.robot.kinematics import FULL_TURN, forward, mark_solutions
 from takeapart.robot.model import RobotModel
 
 NEARLY = 0.1  # rad; where a sample of all solutions is so near to the limits, some may be inside
 
 
-# What the library imports and only its solvers of arms without any structure use: computer algebra, and through the
-# second, scipy's signal processing and statistics. It takes longer to import than a small problem takes to plan.
-POSTPONED = ("sympy", "mpmath", "ssik.solvers.husty_pfurner.general_6r")
-
-
 class Solver(Protocol):
     """What the planner asks of inverse kinematics."""
 
-    def solve(self, T_world_tool: Array) -> Array:
-        """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""
+    def solve(self, T_world_tool: Array, opening: float = 0.0) -> Array:
+        """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4) at an opening of the fingers, m; S is 0
+        where there is none. Of the windings of a solution there is one.
+        """
         ...
 
-    def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
+    def solve_both(self, T_world_tool: Array, opening: float = 0.0) -> tuple[Array, Array]:
         """As `solve`, for a pose and for the same pose turned by half a turn about the tool's approach direction."""
         ...
 
@@ -40,17 +33,23 @@ class InverseKinematics:
     """Configurations that put the tool at a pose.
 
     A redundant arm has a continuum of them; the library samples the part of it inside the joint limits (on average
-    about 7 configurations for the Panda). `docs/benchmarks.md` says what that loses.
+    about 7 configurations for the Panda). `docs/benchmarks.md` says what that loses. A joint that turns further than
+    once round stands within half a turn of the middle of its limits, if that is inside them: the other windings are
+    found when a motion begins somewhere (`kinematics.wind`).
+
+    Raises:
+        InputError: there is no solver for this arm.
+        MissingExtraError: the library is not there.
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        try:
-            self._solver = import_solver(robot.description.ik_module)
-        except ImportError as error:
-            raise MissingExtraError("inverse kinematics", "", "ssik") from error
+        self._robot, self._local = robot, threading.local()
+        self._solver = solver_of(robot)
         self._T_base_world = pose_inverse(robot.T_world_base)
-        self._T_tool_flange = pose_inverse(robot.T_flange_tool)
+        self._T_tool_flange: dict[float, Array] = {}
         self._lower, self._upper = robot.arm.lower, robot.arm.upper
+        self._middle = 0.5 * (self._lower + self._upper)
+        self._turning = robot.arm.turning
         T_tool = robot.arm.T_tool
         # Whether the last joint turns the tool about its own approach direction: both finger orders are then one.
         self._turns_on_the_spot = bool(np.allclose(T_tool[:2, 3], 0, atol=1e-9) and np.isclose(T_tool[2, 2], 1))
@@ -58,68 +57,103 @@ class InverseKinematics:
         # its interpreted code, which rounds otherwise: a plan would depend on which thread came first.
         self.solve(robot.tool_pose(np.zeros(robot.joints)))
 
-    def solve(self, T_world_tool: Array) -> Array:
-        """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4); S is 0 where there is none."""
-        return self._inside(self._sampled(T_world_tool), T_world_tool)
+    def solve(self, T_world_tool: Array, opening: float = 0.0) -> Array:
+        """Solutions (S, n), rad, inside the joint limits for a tool pose (4, 4) at an opening of the fingers, m; S is 0
+        where there is none.
+        """
+        return self._inside(self._sampled(T_world_tool, opening), T_world_tool, opening)
 
-    def solve_both(self, T_world_tool: Array) -> tuple[Array, Array]:
+    def solve_both(self, T_world_tool: Array, opening: float = 0.0) -> tuple[Array, Array]:
         """As `solve`, for a pose and for the same pose turned by half a turn about the tool's approach direction."""
         turned = T_world_tool.copy()
         turned[:3, :2] *= -1
         if not self._turns_on_the_spot:
-            return self.solve(T_world_tool), self.solve(turned)
-        found = self._sampled(T_world_tool)
+            return self.solve(T_world_tool, opening), self.solve(turned, opening)
+        found = self._sampled(T_world_tool, opening)
         other = found.copy()
         other[:, -1] += np.where(other[:, -1] > 0, -np.pi, np.pi)
+        if self._robot.joints == 6:  # what is turned is all that there is
+            return self._inside(found, T_world_tool, opening), self._inside(self._wound(other), turned, opening)
         # For the turned pose the library takes other samples, and near the limits there are better ones among them.
-        return self._inside(found, T_world_tool), self._within_limits(other, turned)
+        return self._inside(found, T_world_tool, opening), self._within_limits(other, turned, opening)
 
-    def _sampled(self, T_world_tool: Array) -> Array:
+    def _sampled(self, T_world_tool: Array, opening: float) -> Array:
         """Solutions (S, n), rad, inside the limits or not."""
-        found = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False, respect_limits="wrap")
-        return np.array([solution.q for solution in found]).reshape(-1, len(self._lower))
+        return self._wound(self._rows(self._solver.solve(self._to_flange(T_world_tool, opening), False)))
 
-    def _inside(self, sampled: Array, T_world_tool: Array) -> Array:
+    def _inside(self, sampled: Array, T_world_tool: Array, opening: float) -> Array:
         """Solutions inside the limits from the library's own samples for the pose: those of them that are inside, which
         are all that it gives for these limits, or what it finds near the limits where none is.
         """
         inside = sampled[((sampled >= self._lower) & (sampled <= self._upper)).all(axis=1)]
-        return inside if len(inside) else self._within_limits(sampled, T_world_tool)
+        if len(inside) or self._robot.joints == 6:  # of a redundant arm alone there are others than the samples
+            return self._right(inside, T_world_tool, opening)
+        return self._within_limits(sampled, T_world_tool, opening)
 
-    def _within_limits(self, sampled: Array, T_world_tool: Array) -> Array:
+    def _within_limits(self, sampled: Array, T_world_tool: Array, opening: float) -> Array:
         """The library's own choice of solutions inside the limits; it is asked only where the samples say that there
         are some, because it takes a hundred times longer to find that there are none.
         """
         beyond = np.maximum(self._lower - sampled, sampled - self._upper).max(axis=1, initial=-np.inf)
         if not len(sampled) or beyond.min() >= NEARLY:
             return np.empty((0, len(self._lower)))
-        found = self._solver.solve(self._to_flange(T_world_tool), allow_rescue=False)
-        return np.array([solution.q for solution in found]).reshape(-1, len(self._lower))
+        found = self._wound(self._rows(self._solver.solve(self._to_flange(T_world_tool, opening), True)))
+        # Its limits may be others than those of this arm's URDF.
+        inside = found[((found >= self._lower) & (found <= self._upper)).all(axis=1)]
+        return self._right(inside, T_world_tool, opening)
 
-    def _to_flange(self, T_world_tool: Array) -> Array:
-        T: Array = self._T_base_world @ T_world_tool @ self._T_tool_flange
+    def _rows(self, found: list[Array]) -> Array:
+        return np.array(found, dtype=float).reshape(-1, len(self._lower))
+
+    def _wound(self, rows: Array) -> Array:
+        """The same solutions (S, n), every joint by full turns inside its limits, if there is such an angle; of several
+        that nearest to their middle.
+        """
+        outside = (rows < self._lower) | (rows > self._upper)
+        outside[:, self._turning] = True
+        if not outside.any():
+            return rows
+        nearest = rows + FULL_TURN * np.round((self._middle - rows) / FULL_TURN)
+        better = outside & (nearest >= self._lower) & (nearest <= self._upper)
+        return np.where(better, nearest, rows)
+
+    def _right(self, rows: Array, T_world_tool: Array, opening: float) -> Array:
+        """Those of some solutions (S, n) that put the tool where it should be, each once."""
+        if not len(rows):
+            return rows
+        right, rows = np.zeros(len(rows), dtype=np.uint8), np.ascontiguousarray(rows)
+        if not hasattr(self._local, "work"):
+            self._local.work = self._robot.workspace()
+        arm = self._robot.arm_at(opening)
+        mark_solutions(arm, rows, np.ascontiguousarray(T_world_tool), self._local.work, right)
+        return rows if right.all() else rows[right.astype(bool)]
+
+    def _to_flange(self, T_world_tool: Array, opening: float) -> Array:
+        key = opening if self._robot.description.gripper.tool_moves else 0.0
+        if key not in self._T_tool_flange:
+            self._T_tool_flange[key] = pose_inverse(self._robot.T_flange_tool(key))
+        T: Array = self._T_base_world @ T_world_tool @ self._T_tool_flange[key]
         return T
 
 
-class _Postponing:
-    """Finds the modules of `POSTPONED` so that they are executed when something of theirs is first used."""
-
-    @staticmethod
-    def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        spec = PathFinder.find_spec(name, path, target) if name in POSTPONED else None
-        if spec is not None and spec.loader is not None:
-            spec.loader = importlib.util.LazyLoader(spec.loader)
-        return spec
-
-
-def import_solver(name: str) -> ModuleType:
-    """A module of the library, by its full name, without what it imports and does not use.
+def solver_of(robot: RobotModel) -> FlangeSolver:
+    """The library's solver for the arm of a robot.
 
     Raises:
-        ImportError: there is none.
+        InputError: there is none, or the one that the arm's description names is for another arm.
+        MissingExtraError: the library is not there.
     """
-    sys.meta_path.insert(0, _Postponing)
-    try:
-        return importlib.import_module(name)
-    finally:
-        sys.meta_path.remove(_Postponing)
+    arm, description = robot.arm, robot.description.arm
+    if not description.inverse_kinematics:
+        return made_solver(arm.T_joint, robot.T_last_flange, arm.lower, arm.upper, description.name)
+    T_base_world, work = pose_inverse(robot.T_world_base), robot.workspace()
+
+    def flange(q: Array) -> Array:
+        forward(arm, q, work)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = work.R[-1], work.p[-1]
+        return np.asarray(T_base_world @ T @ robot.T_last_flange)
+
+    return brought_solver(
+        description.inverse_kinematics, flange, robot.joints, f"{description.name}: inverse_kinematics"
+    )

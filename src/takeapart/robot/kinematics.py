@@ -17,7 +17,11 @@ import math
 import numpy as np
 
 from takeapart.compilation import compiled_lean
-from takeapart.robot.arrays import ArmArrays, Floats, HeldArrays, Workspace
+from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace
+
+FULL_TURN = 2.0 * math.pi
+LARGEST_ERROR = 1e-6  # m, rad; what puts the tool further from a pose is no solution of its inverse kinematics
+SAME_SOLUTION = 1e-6  # rad; configurations in which no joint differs by more are one
 
 
 @compiled_lean
@@ -117,10 +121,82 @@ def tool_steps(arm: ArmArrays, rows: Floats, work: Workspace, steps: Floats) -> 
 
 
 @compiled_lean
+def mark_solutions(arm: ArmArrays, rows: Floats, T: Floats, work: Workspace, right: Flags) -> None:
+    """Marks in `right` (M,) which configurations (M, n), rad, put the tool at a pose T (4, 4) within `LARGEST_ERROR`,
+    each once: what differs from an earlier one by rounding and full turns alone is not marked.
+    """
+    for k in range(len(rows)):
+        forward(arm, rows[k], work)
+        moved = turned = 0.0
+        for i in range(3):
+            moved += (work.p_tool[i] - T[i, 3]) ** 2
+            for j in range(3):
+                turned += (work.R_tool[i, j] - T[i, j]) ** 2  # in all 8 sin^2(angle / 2)
+        right[k] = max(moved, 0.5 * turned) <= LARGEST_ERROR * LARGEST_ERROR
+        for m in range(k):
+            if right[k] and right[m]:
+                apart = 0.0
+                for j in range(rows.shape[1]):
+                    apart = max(apart, abs(nearest_angle(rows[k, j], rows[m, j]) - rows[m, j]))
+                    if apart > SAME_SOLUTION:
+                        break
+                if apart <= SAME_SOLUTION:
+                    right[k] = 0
+
+
+@compiled_lean
+def nearest_angle(angle: float, near: float) -> float:
+    """The same angle, rad, full turns added, so that it is no more than half a turn from another one."""
+    return angle + FULL_TURN * math.floor((near - angle) / FULL_TURN + 0.5)
+
+
+@compiled_lean
+def nearest_winding(arm: ArmArrays, k: int, angle: float, near: float) -> float:
+    """The angle, rad, of joint k of those that turn further than once round, full turns added: inside the limits, and
+    as near to another angle as that allows.
+    """
+    found = nearest_angle(angle, near)
+    if found > arm.upper[k]:
+        found = nearest_angle(angle, arm.upper[k] - 0.5 * FULL_TURN)
+    elif found < arm.lower[k]:
+        found = nearest_angle(angle, arm.lower[k] + 0.5 * FULL_TURN)
+    return min(max(found, arm.lower[k]), arm.upper[k])  # rounding takes none beyond
+
+
+@compiled_lean
+def wind(arm: ArmArrays, q: Floats, near: Floats, wound: Floats) -> None:
+    """Writes to `wound` (n,) a configuration q (n,), rad, that puts every link where q does, as near to another one as
+    the limits allow: joints that turn further than once round have full turns added.
+    """
+    for j in range(len(q)):
+        wound[j] = q[j]
+    for i in range(len(arm.turning)):
+        k = arm.turning[i]
+        wound[k] = nearest_winding(arm, k, q[k], near[k])
+
+
+@compiled_lean
+def squared_distance(arm: ArmArrays, a: Floats, b: Floats) -> float:
+    """In joint space, rad^2, between a configuration (n,) and another one wound as near to it as the limits allow."""
+    total = 0.0
+    for j in range(len(a)):
+        d = b[j] - a[j]
+        total += d * d
+    for i in range(len(arm.turning)):
+        k = arm.turning[i]
+        d, wound = b[k] - a[k], nearest_winding(arm, k, b[k], a[k]) - a[k]
+        total += wound * wound - d * d
+    return total
+
+
+@compiled_lean
 def place(arm: ArmArrays, held: HeldArrays, q: Floats, work: Workspace) -> None:
     """Everything that the collision tests need of a configuration (n,), rad; written to the workspace."""
     for k in range(len(q)):
         work.q[k] = q[k]
+    for i in range(len(arm.turning)):
+        k = arm.turning[i]
+        work.q[k] = nearest_angle(q[k], 0.5 * (arm.lower[k] + arm.upper[k]))
     forward(arm, q, work)
     place_bodies(arm, work)
     place_groups(held, work)

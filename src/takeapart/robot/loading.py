@@ -8,7 +8,7 @@ from takeapart.robot.arrays import ArmArrays
 from takeapart.robot.chain import arm_chain, robot_bodies
 from takeapart.robot.covering import body_corners, body_cover, inflations
 from takeapart.robot.model import RobotModel
-from takeapart.robot.self_collision import ConvexBody, body_pairs
+from takeapart.robot.self_collision import ConvexBody, body_pairs, turning_joints
 from takeapart.robot.urdf import read_urdf
 from takeapart.workcell import Workcell
 
@@ -37,13 +37,13 @@ def load_robot(workcell: Workcell) -> RobotModel:
     ]
     n = len(chain.T_joint)
     pairs, tables = body_pairs(hulls, chain.T_joint, chain.lower, chain.upper)
-    T_flange_tool = description.T_flange_tool(0.0)
     arm = ArmArrays(
         T_world_base=np.ascontiguousarray(workcell.T_world_base[:3]),
         T_joint=chain.T_joint,
-        T_tool=np.ascontiguousarray((chain.T_last_flange @ T_flange_tool)[:3]),
+        T_tool=np.ascontiguousarray((chain.T_last_flange @ description.T_flange_tool(0.0))[:3]),
         lower=chain.lower,
         upper=chain.upper,
+        turning=np.array(turning_joints(chain.lower, chain.upper), dtype=np.int32),
         sphere_center=(spheres := np.concatenate(centers)),
         sphere_x=spheres[:, 0].copy(),
         sphere_y=spheres[:, 1].copy(),
@@ -69,4 +69,4 @@ def load_robot(workcell: Workcell) -> RobotModel:
     )
     inflation = {body.link: cover.inflation for body, cover in zip(bodies, covers, strict=True)}
     names = tuple(body.link for body in bodies)
-    return RobotModel(description, arm, T_flange_tool, inflation, names, pairs, tuple(hulls))
+    return RobotModel(description, arm, chain.T_last_flange, inflation, names, pairs, tuple(hulls))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,8 +26,8 @@ class RobotModel:
 
     Args:
         description: where the robot's files are.
-        arm: arrays for the kernels.
-        T_flange_tool: (4, 4).
+        arm: arrays for the kernels, with the tool where it is at opening 0; see `arm_at`.
+        T_last_flange: (4, 4) pose of the flange in the frame of the last joint.
         inflation: per covered link, how far its spheres reach beyond its hull, m.
         bodies: names of the covered links, in the order of the arrays.
         pairs: how each pair of them is checked for meeting the other.
@@ -35,7 +36,7 @@ class RobotModel:
 
     description: RobotDescription
     arm: ArmArrays
-    T_flange_tool: Array
+    T_last_flange: Array
     inflation: Mapping[str, float]
     bodies: tuple[str, ...]
     pairs: tuple[BodyPair, ...]
@@ -51,41 +52,78 @@ class RobotModel:
         """(4, 4)."""
         return np.vstack([self.arm.T_world_base, [0, 0, 0, 1]])
 
+    @cached_property
+    def _arms(self) -> dict[float, ArmArrays]:
+        """By opening, as far as they were asked for."""
+        return {0.0: self.arm}
+
+    def arm_at(self, opening: float) -> ArmArrays:
+        """The arm with the tool where it is at an opening of the fingers, m: the same object where it does not move."""
+        if not self.description.gripper.tool_moves:
+            return self.arm
+        if opening not in self._arms:
+            T_tool = self.T_last_flange @ self.T_flange_tool(opening)
+            self._arms[opening] = self.arm._replace(T_tool=np.ascontiguousarray(T_tool[:3]))
+        return self._arms[opening]
+
+    def T_flange_tool(self, opening: float) -> Array:
+        """(4, 4) at an opening of the fingers, m."""
+        return self.description.T_flange_tool(opening)
+
+    @property
+    def tool_openings(self) -> tuple[float, ...]:
+        """Openings, m, that tell apart where the tool can be: its ends where it moves, one where it does not."""
+        gripper = self.description.gripper
+        return (0.0, gripper.maximum_opening) if gripper.tool_moves else (0.0,)
+
+    @cached_property
+    def _fingers(self) -> int:
+        """Number of boxes of the gripper that move."""
+        return len(self.finger_boxes(0.0))
+
     def workspace(self, boxes: int = 64) -> Workspace:
         """Scratch memory for a load of at most so many boxes, fingers not counted; one for each thread."""
-        return workspace(self.arm, len(self.finger_boxes(0.0)) + boxes)
+        return workspace(self.arm, self._fingers + boxes)
 
     @property
     def largest_ball(self) -> float:
         """Radius of the largest ball that the kernels look up in the grid of the world, m."""
         return max(float(self.arm.sphere_radius.max()), LARGEST_PROBE * 3**0.5 / 2)
 
-    def tool_pose(self, q: Array, work: Workspace | None = None) -> Array:
-        """Pose (4, 4) of the tool in the world at a configuration (n,), rad."""
+    def tool_pose(self, q: Array, work: Workspace | None = None, opening: float = 0.0) -> Array:
+        """Pose (4, 4) of the tool in the world at a configuration (n,), rad, and an opening of the fingers, m."""
         work = work or self.workspace()
-        forward(self.arm, np.asarray(q, dtype=float), work)
+        forward(self.arm_at(opening), np.asarray(q, dtype=float), work)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = work.R_tool, work.p_tool
         return T
 
-    def finger_boxes(self, opening: float) -> list[OrientedBox]:
-        """Boxes of what moves of the gripper in the tool frame, pads first, for an opening between the pads, m."""
+    def gripper_boxes(self, opening: float) -> tuple[list[OrientedBox], list[OrientedBox]]:
+        """What moves of the gripper at an opening between the pads, m, in the tool frame: pads, which may touch the
+        part, and knuckles, which may not.
+        """
         pads, knuckles = gripper_boxes(self.description, opening)
         T_tool_base = pose_inverse(self.description.gripper.T_base_tool(opening))
-        return [box.moved(T_tool_base) for box in (*pads, *knuckles)]
+        return [box.moved(T_tool_base) for box in pads], [box.moved(T_tool_base) for box in knuckles]
+
+    def finger_boxes(self, opening: float) -> list[OrientedBox]:
+        """Pads and knuckles in one, in this order."""
+        pads, knuckles = self.gripper_boxes(opening)
+        return [*pads, *knuckles]
 
     def held(
         self, opening: float, T_tool_part: Array | None = None, body: Sequence[OrientedBox] = (), gripped: int = 1
     ) -> HeldArrays:
-        """What the gripper carries: its fingers and the boxes of a part.
+        """What moves with the tool: the gripper's pads and knuckles, and the boxes of a part.
 
         Args:
             opening: between the fingers, m.
             T_tool_part: (4, 4) pose of the part in the tool frame.
             body: the part's boxes in its own frame.
-            gripped: the first so many of them may touch the fingers, the others are walls of connectors.
+            gripped: the first so many of them may touch the pads, the others are walls of connectors.
         """
-        fingers = self.finger_boxes(opening)
+        pads, knuckles = self.gripper_boxes(opening)
+        fingers = [*pads, *knuckles]
         part = [box.moved(T_tool_part) for box in body] if T_tool_part is not None else []
         boxes = fingers + part
         groups = [_box_around(fingers), _box_around(part)]
@@ -100,6 +138,7 @@ class RobotModel:
             probe_radius=np.repeat(radii, counts),
             probe_box=np.repeat(np.arange(len(boxes), dtype=np.int32), counts),
             group=np.array([0, len(fingers), len(boxes)], dtype=np.int32),
+            first_knuckle=len(pads),
             first_wall=len(fingers) + gripped,
             group_center=np.array([box.T_frame_box[:3, 3] for box in groups]),
             group_axes=np.ascontiguousarray([box.T_frame_box[:3, :3].T for box in groups]),

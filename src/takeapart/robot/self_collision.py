@@ -25,6 +25,7 @@ from takeapart.compilation import compiled
 from takeapart.geometry import Array
 from takeapart.robot.arrays import TABLE_UNIT, Distances, Floats
 from takeapart.robot.kept import keep, kept
+from takeapart.robot.kinematics import FULL_TURN
 from takeapart.robot.separation import separation
 
 NODE = 0.005  # rad, between the nodes of a table
@@ -32,6 +33,7 @@ COARSE = 8  # nodes between those that are looked at first
 NEAR = 0.05  # m; where two bodies are further apart than this, the coarse nodes tell enough
 FAR = 0.3  # m; the tables tell no greater distances
 NEVER = 0.03  # m; pairs that never come nearer than this need no check: no workcell asks for more than 20 mm
+LEAST_WINDING = 1e-6  # rad; a joint that turns less than this further than once round does not count as doing so
 SAMPLES = 200  # configurations in which a pair must touch to count as one that always does
 
 Treatment = Literal["neighbours", "always touch", "never meet", "table", "hulls"]
@@ -98,6 +100,7 @@ def body_pairs(
     """
     pairs: list[BodyPair] = []
     tables: list[DistanceTable] = []
+    lower, upper = within_one_turn(lower, upper)
     always = _always_touching(bodies, T_joint, lower, upper)
     for a in range(len(bodies)):
         for b in range(a + 1, len(bodies)):
@@ -118,6 +121,22 @@ def body_pairs(
             else:
                 pairs.append(BodyPair(a, b, "hulls"))
     return tuple(pairs), tuple(tables)
+
+
+def turning_joints(lower: Floats, upper: Floats) -> list[int]:
+    """Joints with limits (n,), rad, between which they turn further than once round."""
+    return [k for k, span in enumerate(upper - lower) if span > FULL_TURN + LEAST_WINDING]
+
+
+def within_one_turn(lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Limits (n,), rad, of one turn about the middle for the joints that turn further: no pose of their links is left
+    out. `kinematics.place` brings angles there.
+    """
+    lower, upper = lower.copy(), upper.copy()
+    for k in turning_joints(lower, upper):
+        middle = 0.5 * (lower[k] + upper[k])
+        lower[k], upper[k] = middle - 0.5 * FULL_TURN, middle + 0.5 * FULL_TURN
+    return lower, upper
 
 
 def relative_pose(T_joint: Floats, first: int, second: int, angles: Array) -> Array:
