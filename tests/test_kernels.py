@@ -32,6 +32,7 @@ from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import FREE, HIT_SELF, HIT_WORLD, LARGEST_MARGIN, check, collect, placed
 from takeapart.robot.kinematics import forward, jacobian, motion_of_ball, place, place_held, set_motion
 from takeapart.robot.model import RobotModel
+from takeapart.robot_files import load_robot_description
 from takeapart.verification_model import STATIC_BITS
 from takeapart.verification_model import Scene as MujocoScene
 from takeapart.workcell import Obstacle, Workcell
@@ -278,7 +279,8 @@ def turned_scene(seed: int) -> tuple[Assembly, Workcell]:
         if np.linalg.norm(box.T_frame_box[:3, 3] - base[:3, 3]) > 0.45:
             boxes.append(box)
     obstacles = tuple(Obstacle(f"box{i}", box) for i, box in enumerate(boxes))
-    return assembly, Workcell("turned", "panda", base, home, np.array([0.3, 0.0, 0.5]), environment=obstacles)
+    panda = load_robot_description("panda")
+    return assembly, Workcell("turned", panda, base, home, np.array([0.3, 0.0, 0.5]), environment=obstacles)
 
 
 def test_no_missed_collision_among_boxes_turned_anyhow(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,6 +38,9 @@ messages
 bound_texts
 schemas
 documents
+shipped
+robot_schemas
+robot_files
 serialization
 files
 sources
@@ -68,8 +71,8 @@ CONFINED = {
     "matplotlib": ("render*", "report*", "experiments"),
     "ray": ("experiments",),
     "ssik": ("robot.ik_solver",),
-    "pydantic": ("schemas",),
-    "pydantic_core": ("schemas", "messages"),
+    "pydantic": ("schemas", "robot_schemas"),
+    "pydantic_core": ("schemas", "robot_schemas", "messages"),
     "sqlite3": ("run_journal",),
     "click": ("cli*",),
     "rich": ("cli*",),

@@ -13,6 +13,7 @@ from ssik.prebuilt import franka_panda_ik
 from takeapart.assembly import Assembly, Connector, Part
 from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse, quaternion_from_rotation
 from takeapart.plan import Grasp, Plan, PlanStep
+from takeapart.robot_files import load_robot_description
 from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.workcell import Obstacle, Workcell
 
@@ -74,7 +75,7 @@ def scene_assembly() -> Assembly:
 def scene_workcell() -> Workcell:
     return Workcell(
         name="scene",
-        robot="panda",
+        description=load_robot_description("panda"),
         T_world_base=pose([-0.45, 0.1, 0.0]),
         home=np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]),
         goal=np.array([-0.05, -0.30, 0.42]),

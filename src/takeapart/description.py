@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -39,12 +40,16 @@ class RobotFiles:
             package, _, relative = uri.removeprefix("package://").partition("/")
             if package not in self.packages:
                 known = ", ".join(sorted(self.packages)) or "none"
-                raise InputError(f"package {package!r} of {uri!r} is not known; known: {known}", str(self.urdf))
+                raise InputError(
+                    f"package {package!r} of {uri!r} is not known; known: {known}; say where it is: "
+                    f"--package {package}=FOLDER, or a line under packages of the description",
+                    str(self.urdf),
+                )
             found = self.packages[package] / relative
         else:
-            found = self.urdf.parent / uri.removeprefix("file://")
+            found = self.urdf.parent / unquote(uri.removeprefix("file://"))
         if not found.is_file():
-            raise InputError(f"no file {found} for {uri!r}", str(self.urdf))
+            raise InputError(f"there is no file {found}, which it names as {uri!r}", str(self.urdf))
         return found
 
 
@@ -59,6 +64,7 @@ class ArmDescription:
         payload: what the arm may carry beyond its gripper, kg.
         home: configuration at rest, rad; a workcell may state another one.
         inverse_kinematics: module of the library that has this arm prebuilt; empty: worked out from the URDF.
+        left_out: links of the file, with all that hangs on them, that are not part of the arm: a gripper of its own.
     """
 
     name: str
@@ -69,6 +75,7 @@ class ArmDescription:
     payload: float
     home: tuple[float, ...]
     inverse_kinematics: str = ""
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,11 @@ from takeapart.errors import InputError, UnknownNameError
 from takeapart.geometry import Array, Box, OrientedBox, pose
 from takeapart.messages import shortened, shown
 from takeapart.plan import Grasp, Plan, PlanStep
+from takeapart.robot_files import load_robot_description
 from takeapart.schemas import AssemblyModel, BoxModel, PlanModel, PoseModel, StepModel, WorkcellModel, validated
 from takeapart.serialization import assembly_document, assembly_hash, plan_document, workcell_hash
-from takeapart.workcell import Obstacle, Workcell, robot_description
+from takeapart.shipped import data_path
+from takeapart.workcell import Obstacle, Workcell
 
 __all__ = [
     "assembly_hash",
@@ -36,24 +38,6 @@ MAXIMUM_WORKCELL_BYTES = 64 * 2**10
 MAXIMUM_WALLS = 8_000  # of all connectors together; the test for overlap grows with its square
 
 PathLike = str | os.PathLike[str]
-
-
-def data_path(relative: str) -> Path:
-    """A file or folder that comes with the package, for example ``data_path("single/01.json")``.
-
-    The data stand in ``takeapart/data`` where the package was installed, at the top of the repository in a checkout.
-
-    Raises:
-        InputError: nothing of this name is shipped.
-    """
-    package = Path(__file__).resolve().parent
-    for folder in (package / "data", package.parents[1] / "data"):
-        found = (folder / relative).resolve()
-        if found.exists() and found.is_relative_to(folder):
-            return found
-    raise InputError(
-        "no such file comes with takeapart; its data may be missing from the installation", shown(relative)
-    )
 
 
 def load_assembly(path: PathLike) -> Assembly:
@@ -147,13 +131,18 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
         text = str(shipped[text])
     where = shown(text)
     model = validated(WorkcellModel, read_toml(text, MAXIMUM_WORKCELL_BYTES), where)
-    robot_description(_nameable(model.robot.model), f"{where}: robot.model")
+    robot = model.robot
+    key = "model" if robot.description is None else "description"
+    named = robot.model if robot.description is None else robot.description
+    description = load_robot_description(
+        named or "", robot.gripper, robot.mount, Path(text).parent, f"{where}: robot.{key}"
+    )
     try:
         return Workcell(
             name=model.name,
-            robot=model.robot.model,
+            description=description,
             T_world_base=_pose(model.robot.base),
-            home=np.array(model.robot.home, dtype=float),
+            home=np.array(description.arm.home if robot.home is None else robot.home, dtype=float),
             goal=np.array(model.goal, dtype=float),
             lift_height=model.lift_height,
             clearance=model.clearance,

@@ -218,12 +218,22 @@ class PlanModel(_Model):
 class RobotModel(_Model):
     """Which robot, where it stands, how it rests and what it carries; what is left out is the robot's own."""
 
-    model: Text
+    model: Text | None = None
+    description: Text | None = None
+    gripper: Text | None = None
+    mount: PoseModel | None = None
     base: PoseModel
-    home: JointRow
+    home: JointRow | None = None
     payload: Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)] | None = None
     gripping_force: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
     friction: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _one_robot(self) -> RobotModel:
+        if (self.model is None) == (self.description is None):
+            text = "must have either model (a shipped name) or description (a path that ends in .toml)"
+            raise PydanticCustomError("rows", "{text}", {"text": text})
+        return self
 
 
 class ObstacleModel(BoxModel):

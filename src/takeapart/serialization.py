@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from takeapart.assembly import Assembly
-from takeapart.documents import canonical_json
+from takeapart.description import ArmDescription, GripperDescription, RobotDescription
+from takeapart.documents import canonical_json, read_bytes
 from takeapart.errors import InputError
 from takeapart.geometry import Array, Box, OrientedBox, Shape, pose, quaternion_from_rotation
 from takeapart.plan import Plan
 from takeapart.workcell import Workcell
 
 DECIMALS = 9
+MAXIMUM_URDF_BYTES = 32 * 2**20
 
 Document = dict[str, Any]
 
@@ -41,7 +44,7 @@ def workcell_hash(workcell: Workcell) -> str:
             "lift_height": _number(workcell.lift_height),
             "clearance": _number(workcell.clearance),
             "robot": {
-                "model": workcell.robot,
+                "description": _description_document(workcell.description),
                 "base": _pose_document(workcell.T_world_base),
                 "home": _numbers(workcell.home),
                 "payload": _number(workcell.payload),
@@ -51,6 +54,30 @@ def workcell_hash(workcell: Workcell) -> str:
             "environment": [{"name": o.name, **_box_document(o.box)} for o in workcell.environment],
         }
     )
+
+
+def _description_document(description: RobotDescription) -> Document:
+    """What an arm and a gripper are, wherever their files are; of the URDF files the content counts."""
+
+    def part(data: ArmDescription | GripperDescription) -> Document:
+        document = {key: value for key, value in asdict(data).items() if key != "files"}
+        document["urdf"] = hashlib.sha256(read_bytes(data.files.urdf, MAXIMUM_URDF_BYTES)).hexdigest()
+        rounded: Document = _rounded(document)
+        return rounded
+
+    return {
+        "arm": part(description.arm),
+        "gripper": part(description.gripper),
+        "mount": _numbers(description.flange_gripper),
+    }
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return _number(value) if isinstance(value, float) else value
 
 
 def motion_hash(plan: Plan) -> str:

@@ -113,7 +113,9 @@ def robot_bodies(description: RobotDescription, chain: Chain) -> tuple[Body, ...
     """
     arm, gripper = description.arm, description.gripper
     urdf, hand = read_urdf(arm.files), read_urdf(gripper.files)
-    cut = frozenset({gripper.base_link}) if hand.files.urdf == urdf.files.urdf else frozenset()
+    cut = frozenset(arm.left_out)
+    if hand.files.urdf == urdf.files.urdf:
+        cut |= {gripper.base_link}
     last = len(chain.links) - 1
     line = {arm.base_link, *(joint.child for joint in urdf.path(arm.base_link, arm.flange_link))}
     found: list[Body] = []

@@ -96,10 +96,10 @@ def brought_solver(name: str, flange: Callable[[Array], Array], joints: int, whe
         return FlangeSolver(module)
     T_base_library = _base_of(own, other)
     T_library_flange = pose_inverse(T_base_library @ other[0]) @ own[0]
-    error = float(np.linalg.norm((T_base_library @ other @ T_library_flange - own)[:, :3], axis=1).max())
-    if error > SAME_ARM:
+    miss = float(np.linalg.norm((T_base_library @ other @ T_library_flange - own)[:, :3], axis=1).max())
+    if miss > SAME_ARM:
         raise InputError(
-            f"{name} is for another arm: wherever its base and flange stand, it misses by {1e3 * error:.3g} mm; "
+            f"{name} is for another arm: wherever its base and flange stand, it misses by {1e3 * miss:.3g} mm; "
             "leave it empty to work it out from the URDF",
             where,
         )
