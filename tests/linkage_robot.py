@@ -50,9 +50,9 @@ def tool_point(opening: float) -> tuple[float, float, float]:
     return 0.0, 0.0, PIVOT_Z + KNUCKLE * math.cos(knuckle_angle(opening)) + PAD_Z
 
 
-def _arm() -> str:
+def _arm(limits: tuple[tuple[float, float], ...]) -> str:
     text = '<robot name="six"><link name="base"><collision>' + _GEOMETRY[0] + "</collision></link>\n"
-    for k, ((xyz, rpy, axis), geometry, (low, high)) in enumerate(zip(_JOINTS, _GEOMETRY[1:], LIMITS, strict=True), 1):
+    for k, ((xyz, rpy, axis), geometry, (low, high)) in enumerate(zip(_JOINTS, _GEOMETRY[1:], limits, strict=True), 1):
         text += f'<link name="link{k}"><collision>{geometry}</collision></link>\n'
         text += f'<joint name="joint{k}" type="revolute"><parent link="{f"link{k - 1}" if k > 1 else "base"}"/>'
         text += f'<child link="link{k}"/><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
@@ -84,14 +84,14 @@ def _gripper() -> str:
     return text + "</robot>\n"
 
 
-def linkage_robot(folder: Path, arm: str = "") -> RobotDescription:
+def linkage_robot(folder: Path, limits: tuple[tuple[float, float], ...] = LIMITS) -> RobotDescription:
     """Writes the files and describes them.
 
     Args:
-        arm: text of another URDF for the arm, with the same names.
+        limits: of the joints, rad.
     """
     files = {name: folder / f"{name}.urdf" for name in ("six", "linkage")}
-    files["six"].write_text(arm or _arm())
+    files["six"].write_text(_arm(limits))
     files["linkage"].write_text(_gripper())
     openings = tuple(np.linspace(*OPENINGS, 35).tolist())
     six = ArmDescription(

@@ -45,8 +45,8 @@ def _model(geometry: yourdfpy.Geometry, files: RobotFiles) -> tuple[fcl.Collisio
 class MeshOracle:
     """All links of a robot with meshes or boxes, placed by a library's own kinematics, not by the planner's.
 
-    Pairs are left out where one link is the next one of the other in the chain, or both are of the gripper, whose links
-    overlap where they are joined.
+    Pairs are left out where one link is the next one of the other in the chain, and those of the gripper's own links,
+    which overlap where they are joined, but for its fingers.
     """
 
     def __init__(self, description: RobotDescription) -> None:
@@ -77,7 +77,7 @@ class MeshOracle:
             for a, b in combinations(self.objects, 2)
             if a not in self._next(b, parents)
             and b not in self._next(a, parents)
-            and not (a in self.own and b in self.own)
+            and (not {a, b} <= self.own or {a, b} <= {*gripper.finger_links})
         ]
 
     @staticmethod
