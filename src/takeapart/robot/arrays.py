@@ -43,6 +43,7 @@ class ArmArrays(NamedTuple):
     corner: Floats  # (V, 3) m, of the bodies' convex hulls, in the frame of the link that carries them
     corner_start: Indices  # (B + 1,) corners of body b are corner_start[b] .. corner_start[b + 1]
     body_frame: Counters  # (B,) joint frame that the body moves with; 0 is the base
+    first_moving: int  # bodies before it stand still with the base, and may touch the world
     body_center: Floats  # (B, 3) m, a ball around the whole body
     body_radius: Floats  # (B,) m
     self_pairs: Integers  # (P, 2) bodies that may touch each other, looked at by their spheres

@@ -13,6 +13,7 @@ from takeapart.model.geometry import Array
 from takeapart.robot.chain import Body, Chain
 from takeapart.robot.cover import SphereCover, exact_cover, sphere_cover
 from takeapart.robot.kept import keep, kept
+from takeapart.robot.self_collision import ConvexBody
 from takeapart.robot.urdf import Geometry, Urdf, convex_corners
 from takeapart.robot.urdf.meshes import digest_of, hull_of
 
@@ -68,6 +69,22 @@ def body_corners(body: Body) -> Array:
     if len(corners) == 1:
         return corners[0]
     return _together(body.urdf.where, *(np.ascontiguousarray(found).tobytes() for found in corners))
+
+
+def body_hulls(bodies: Sequence[Body]) -> list[ConvexBody]:
+    """All bodies as convex hulls in the frames of their joints.
+
+    Raises:
+        InputError: a mesh is missing, cannot be read, or is flat.
+    """
+    return [
+        ConvexBody(
+            np.ascontiguousarray(body_corners(body) @ body.T_frame_link[:3, :3].T + body.T_frame_link[:3, 3]),
+            body.frame,
+            body.in_line,
+        )
+        for body in bodies
+    ]
 
 
 @lru_cache(maxsize=256)

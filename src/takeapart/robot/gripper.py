@@ -20,7 +20,7 @@ from takeapart.robot.urdf import Geometry, Urdf, convex_corners, read_urdf
 from takeapart.robot.urdf.meshes import hull_of
 
 LARGEST_WASTE = 0.004  # m that a corner of a box may stand away from the hull that it contains
-MOST_SLICES = 4
+MOST_SLICES = 3  # of what touches the part; of other links one less
 
 Boxes = tuple[tuple[Array, Array], ...]  # pose (4, 4) in the link, half edges (3,), m
 
@@ -63,39 +63,39 @@ def _moving_boxes(gripper: GripperDescription) -> tuple[dict[str, Boxes], dict[s
         raise InputError(f"no finger ({', '.join(gripper.finger_links)}) has collision geometry", where)
     fixed = urdf.fixed_on(gripper.base_link)
     others = [link for link in links if link not in fixed and link not in gripper.finger_links]
-    pads = {link: _link_boxes(urdf, link) for link in gripper.finger_links}
-    return pads, {link: _link_boxes(urdf, link) for link in others}
+    pads = {link: _link_boxes(urdf, link, MOST_SLICES) for link in gripper.finger_links}
+    return pads, {link: _link_boxes(urdf, link, MOST_SLICES - 1) for link in others}
 
 
-def _link_boxes(urdf: Urdf, link: str) -> Boxes:
-    return tuple(box for shape in urdf.links[link].collisions for box in _shape_boxes(urdf, shape))
+def _link_boxes(urdf: Urdf, link: str, most: int) -> Boxes:
+    return tuple(box for shape in urdf.links[link].collisions for box in _shape_boxes(urdf, shape, most))
 
 
-def _shape_boxes(urdf: Urdf, shape: Geometry) -> Boxes:
+def _shape_boxes(urdf: Urdf, shape: Geometry, most: int) -> Boxes:
     if shape.kind == "box":
         return ((shape.T_link, np.array(shape.size) / 2),)
     corners = convex_corners(urdf, Geometry(shape.kind, np.eye(4), shape.size, shape.uri))
-    return tuple((shape.T_link @ T, half) for T, half in _hull_boxes(corners.tobytes()))
+    return tuple((shape.T_link @ T, half) for T, half in _hull_boxes(corners.tobytes(), most))
 
 
 @lru_cache(maxsize=256)
-def _hull_boxes(corners: bytes) -> Boxes:
+def _hull_boxes(corners: bytes, most: int) -> Boxes:
     """Boxes around the convex hull of points (V, 3), m; kept in the cache folder."""
-    name = f"boxes-1-{hashlib.sha256(corners).hexdigest()[:24]}"
+    name = f"boxes-1-{hashlib.sha256(corners).hexdigest()[:24]}-{most}"
     rows = kept(name)
     if rows is None or rows.ndim != 2 or rows.shape[1] != 15 or not len(rows) or not np.isfinite(rows).all():
-        found = boxes_around(np.frombuffer(corners).reshape(-1, 3))
+        found = boxes_around(np.frombuffer(corners).reshape(-1, 3), most)
         rows = np.array([[*T[:3].ravel(), *half] for T, half in found])
         keep(name, rows)
     return tuple((np.vstack([row[:12].reshape(3, 4), [0, 0, 0, 1]]), row[12:].copy()) for row in rows)
 
 
-def boxes_around(corners: Array) -> Boxes:
+def boxes_around(corners: Array, most: int = MOST_SLICES) -> Boxes:
     """Boxes that together contain the convex hull of points (V, 3), m: the fewest slices across its longest extent of
-    which no box stands more than `LARGEST_WASTE` away from its slice, at most `MOST_SLICES`.
+    which no box stands more than `LARGEST_WASTE` away from its slice, at most `most`.
     """
     found: Boxes = ()
-    for count in range(1, MOST_SLICES + 1):
+    for count in range(1, most + 1):
         slices = _slices(corners, count)
         found = tuple(_smallest_box(points) for points in slices)
         if max(_waste(points, *box) for points, box in zip(slices, found, strict=True)) <= LARGEST_WASTE:

@@ -230,3 +230,16 @@ def import_solver(name: str) -> ModuleType:
         return importlib.import_module(name)
     finally:
         sys.meta_path.remove(_Postponing)
+
+
+def listed_solvers(joints: int) -> list[str]:
+    """Names of the modules that the library brings for arms with so many joints.
+
+    Raises:
+        MissingExtraError: the library is not there.
+    """
+    try:
+        library = import_solver("ssik")
+    except ImportError as error:
+        raise MissingExtraError("inverse kinematics", "", "ssik") from error
+    return [arm.import_path for arm in library.list_arms() if arm.dof == joints]

@@ -6,9 +6,9 @@ import numpy as np
 
 from takeapart.robot.arrays import ArmArrays
 from takeapart.robot.chain import arm_chain, robot_bodies
-from takeapart.robot.covering import body_corners, body_cover, inflations
+from takeapart.robot.covering import body_cover, body_hulls, inflations
 from takeapart.robot.model import RobotModel
-from takeapart.robot.self_collision import ConvexBody, body_pairs, turning_joints
+from takeapart.robot.self_collision import body_pairs, turning_joints
 from takeapart.robot.urdf import read_urdf
 from takeapart.workcell import Workcell
 
@@ -31,10 +31,7 @@ def load_robot(workcell: Workcell) -> RobotModel:
         for c, k in zip(centers, covers, strict=True)
     ]
     radii = np.concatenate([c.radii for c in covers])
-    hulls = [
-        ConvexBody(body_corners(body) @ T[:3, :3].T + T[:3, 3], body.frame, body.in_line)
-        for body, T in zip(bodies, T_frame_body, strict=True)
-    ]
+    hulls = body_hulls(bodies)
     n = len(chain.T_joint)
     pairs, tables = body_pairs(hulls, chain.T_joint, chain.lower, chain.upper)
     arm = ArmArrays(
@@ -53,6 +50,7 @@ def load_robot(workcell: Workcell) -> RobotModel:
         corner=np.ascontiguousarray(np.concatenate([hull.corners for hull in hulls])),
         corner_start=np.cumsum([0, *[len(hull.corners) for hull in hulls]], dtype=np.int64),
         body_frame=np.array([body.frame for body in bodies], dtype=np.uint64),
+        first_moving=sum(body.frame == 0 for body in bodies),
         body_center=np.array([center for center, _ in balls]),
         body_radius=np.array([radius for _, radius in balls]),
         self_pairs=np.array(

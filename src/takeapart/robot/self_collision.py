@@ -101,7 +101,7 @@ def body_pairs(
     pairs: list[BodyPair] = []
     tables: list[DistanceTable] = []
     lower, upper = within_one_turn(lower, upper)
-    always = _always_touching(bodies, T_joint, lower, upper)
+    always = always_touching(bodies, T_joint, lower, upper)
     for a in range(len(bodies)):
         for b in range(a + 1, len(bodies)):
             first, second = bodies[a], bodies[b]
@@ -150,7 +150,7 @@ def relative_pose(T_joint: Floats, first: int, second: int, angles: Array) -> Ar
     return T
 
 
-def _always_touching(bodies: Sequence[ConvexBody], T_joint: Floats, lower: Floats, upper: Floats) -> Array:
+def always_touching(bodies: Sequence[ConvexBody], T_joint: Floats, lower: Floats, upper: Floats) -> Array:
     """Which pairs (B, B) of bodies, the smaller number first, touch in every one of some configurations; kept in the
     cache folder.
     """
