@@ -75,15 +75,15 @@ def test_standalone_page_plays_from_disk_without_a_network(page_file: Path, fold
         stopped = page.evaluate("takeapart.player.time")
         page.wait_for_timeout(300)
         assert page.evaluate("takeapart.player.time") == stopped
-        # The page's own kinematics put the tool where the plan says.
+        # The page's own kinematics put every link where the plan says.
         for k, step in enumerate(scene.steps):
             place = page.evaluate(
                 "([k, f]) => { const p = takeapart.player, q = p.timeline.configuration(k, f, p.data.home.length);"
-                "return p.arm.tool(p.arm.poses(q, 0)); }",
+                "return p.arm.poses(q, 0.037); }",
                 [k, 0.37],
             )
-            T = scene.robot.tool_pose(scene.moment(k, 0.37).configuration)
-            assert np.allclose(np.reshape(place, (4, 4)), T, atol=2e-4), step.part
+            T = scene.robot.poses(scene.moment(k, 0.37).configuration, 0.037)
+            assert np.allclose(np.reshape(place, (-1, 4, 4)), T, atol=2e-4), step.part
         assert all(url.startswith(("file:", "data:", "blob:")) for url in found.requests)
         assert found.errors == []
 

@@ -172,7 +172,7 @@ def _step(scene: PlanScene, k: int) -> dict[str, Any]:
         "length": step.length,
         "width": step.grasp.width,
         "grasp": scene.grasp_text(k),
-        "tool": _numbers(scene.T_tool_parts[k]),
+        "held": _numbers(scene.T_hand_parts[k]),
         "rows": len(step.joint_path),
         "joints": _packed(np.asarray(step.joint_path, dtype="<f4")),
         "along": _packed(scene.along(k).astype("<f4")),
@@ -185,12 +185,14 @@ def robot_document(robot: RobotVisual) -> dict[str, Any]:
     return {
         "base": _numbers(robot.T_world_base),
         "hand": robot.hand,
-        "tool": list(robot.description.T_hand_tool),
+        "openings": _numbers(np.array(robot.description.gripper.openings)),
+        "positions": [_numbers(np.array(row)) for row in robot.description.gripper.positions],
         "links": [
             {
                 "parent": link.parent,
                 "pose": _numbers(link.T_parent_joint),
                 "joint": link.joint,
+                "follows": [link.multiplier, link.offset],
                 "slides": link.slides,
                 "axis": _numbers(link.axis),
                 "meshes": [_mesh(mesh) for mesh in link.meshes],

@@ -124,17 +124,19 @@ class PlanScene:
             self._held.append(self._grip(number, step))
 
     def _grip(self, number: int, step: PlanStep) -> Array:
-        """Pose (4, 4) of the part in the tool, once the two ends of the path were found to be where they should be."""
+        """Pose (4, 4) of the part in the gripper's base link, once the two ends of the path were found to be where they
+        should be."""
         for row in (0, -1):
-            miss = float(np.linalg.norm(self.robot.tool_pose(step.joint_path[row])[:3, 3] - step.tool_path[row, :3]))
+            T_world_tool = self.robot.tool_pose(step.joint_path[row], step.grasp.width)
+            miss = float(np.linalg.norm(T_world_tool[:3, 3] - step.tool_path[row, :3]))
             if not miss <= LARGEST_MISS:
                 raise InputError(
                     f"the joints put the tool {miss:.3f} m from where the tool path says; the plan is corrupted, or "
                     "was made for another workcell",
                     f"plan of {self.assembly.name}: steps[{number}] ({step.part})",
                 )
-        T_tool_world = pose_inverse(self.robot.tool_pose(step.joint_path[0]))
-        return np.asarray(T_tool_world @ self.assembly.parts[self.order[number]].T_world_part)
+        T_hand_world = pose_inverse(self.robot.hand_pose(step.joint_path[0]))
+        return np.asarray(T_hand_world @ self.assembly.parts[self.order[number]].T_world_part)
 
     def along(self, step: int) -> Array:
         """Way of the tool (M,) up to each row of a step, m; turning counts a little."""
@@ -146,8 +148,8 @@ class PlanScene:
         return f"{_direction(rotation_from_quaternion(grasp.orientation)[:, 2])}, {1000 * grasp.width:.0f} mm wide"
 
     @property
-    def T_tool_parts(self) -> list[Array]:
-        """Per step the pose (4, 4) of its part in the tool."""
+    def T_hand_parts(self) -> list[Array]:
+        """Per step the pose (4, 4) of its part in the gripper's base link, which does not move while fingers open."""
         return self._held
 
     def state(self, step: int) -> int:
@@ -169,7 +171,7 @@ class PlanScene:
             configuration,
             plan_step.grasp.width if opening is None else opening,
             self.order[step],
-            self.robot.tool_pose(configuration) @ self._held[step],
+            self.robot.hand_pose(configuration) @ self._held[step],
             self._states[step + 1],
             self.order[:step],
         )

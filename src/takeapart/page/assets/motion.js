@@ -48,20 +48,27 @@ function crc32(text) {  // of ASCII text
 class Arm {
   constructor(robot) { this.robot = robot; }
 
+  // what the joints of the gripper stand at, linear between the openings of the table
+  gripper(opening) {
+    const { openings, positions } = this.robot, last = openings.length - 1;
+    let k = 1;
+    while (k < last && openings[k] < opening) k++;
+    const share = last < 1 ? 0 : Math.min(Math.max((opening - openings[k - 1]) / (openings[k] - openings[k - 1]), 0), 1);
+    return positions.map(row => last < 1 ? row[0] : row[k - 1] * (1 - share) + row[k] * share);
+  }
+
   poses(q, opening) {
-    const T = [];
+    const T = [], values = [...q, ...this.gripper(opening)];
     for (const link of this.robot.links) {
       let pose = multiply(link.parent < 0 ? this.robot.base : T[link.parent], link.pose);
-      if (link.joint !== -1) {
-        const value = link.joint === -2 ? opening / 2 : q[link.joint];
+      if (link.joint >= 0) {
+        const value = link.follows[0] * values[link.joint] + link.follows[1];
         pose = multiply(pose, link.slides ? translation(...link.axis.map(a => a * value)) : rotation(link.axis, value));
       }
       T.push(pose);
     }
     return T;
   }
-
-  tool(poses) { return multiply(poses[this.robot.hand], translation(...this.robot.tool)); }
 }
 
 // ---------------------------------------------------------------- time: grip, move, let go, for every step

@@ -67,7 +67,7 @@ class Player {
   model(i, place, poses) {  // pose of a part, null where it is hidden
     const k = this.data.steps.findIndex(step => step.part === i), part = this.data.parts[i];
     if (k < 0 || k > place.step) return part.pose;
-    if (k === place.step) return multiply(this.arm.tool(poses), this.data.steps[k].tool);
+    if (k === place.step) return multiply(poses[this.data.robot.hand], this.data.steps[k].held);
     return document.getElementById("laid").checked ? part.laid : null;
   }
 
