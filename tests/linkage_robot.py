@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
+from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
 
 TWICE = 2 * math.pi
 LIMITS = ((-TWICE, TWICE), (-TWICE, TWICE), (-3.0, 3.0), (-TWICE, TWICE), (-TWICE, TWICE), (-TWICE, TWICE))

@@ -9,8 +9,8 @@ import numpy as np
 import trimesh
 import yourdfpy
 
-from takeapart.description import RobotDescription, RobotFiles
-from takeapart.geometry import Array
+from takeapart.model.description import RobotDescription, RobotFiles
+from takeapart.model.geometry import Array
 
 
 def _read(files: RobotFiles) -> yourdfpy.URDF:

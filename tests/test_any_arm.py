@@ -15,9 +15,9 @@ import pytest
 from conftest import random_configurations, random_rotation, scene_of, world_around
 from linkage_robot import HOME, LIMITS, OPENINGS, knuckle_angle, linkage_robot, tool_point
 from mesh_oracle import MeshOracle
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import Array, Box
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, Box
 from takeapart.motion.legs import joint_distances, near_pairs, one_leg
 from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.scene import is_free

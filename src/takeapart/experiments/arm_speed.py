@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from takeapart.assembly import Assembly
 from takeapart.experiments.speed import fresh_assemblies, new_problem, random_edges
 from takeapart.experiments.tables import markdown_table
-from takeapart.files import load_workcell
+from takeapart.formats.files import load_workcell
+from takeapart.model.assembly import Assembly
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.result import Removal
 from takeapart.robot.loading import load_robot

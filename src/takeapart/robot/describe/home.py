@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from takeapart.description import RobotDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.description import RobotDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.chain import Chain, arm_chain, robot_bodies
 from takeapart.robot.covering import body_hulls
 from takeapart.robot.self_collision import always_touching, relative_pose
