@@ -41,9 +41,11 @@ documents
 shipped
 robot_schemas
 robot_files
+robot_writing
 serialization
 files
 sources
+placing
 guide
 run*
 planning

@@ -26,6 +26,7 @@ from takeapart.cli_plan import plan
 from takeapart.cli_render import render
 from takeapart.cli_report import report
 from takeapart.cli_reproduce import reproduce
+from takeapart.cli_robot import robot
 from takeapart.cli_train import train
 from takeapart.cli_verify import assemble, verify
 from takeapart.cli_view import view
@@ -132,6 +133,7 @@ for _command in (
     view,
     render,
     report,
+    robot,
     compare,
     train,
     reproduce,
