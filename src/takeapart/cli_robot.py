@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from takeapart.placing import Placed
     from takeapart.robot.model import RobotModel
     from takeapart.robot_files import Mount
+    from takeapart.workcell import Workcell
 
 ABOVE = 8  # folders above a URDF in which its packages are looked for
 
@@ -306,16 +307,19 @@ def _whole(found: Found) -> RobotDescription | None:
 
 def _model(description: RobotDescription) -> RobotModel:
     """The robot as the planner has it, standing alone."""
-    import numpy as np
-
     from takeapart.robot.loading import load_robot
-    from takeapart.workcell import Workcell
 
-    cell = Workcell("alone", description, np.eye(4), np.array(description.arm.home), np.array([0.3, 0.0, 0.3]))
-    compile_first(cell)
     with progress_bar(f"measuring {description.name}") as update:
         update("spheres and distances between links", None)
-        return load_robot(cell)
+        return load_robot(_alone(description))
+
+
+def _alone(description: RobotDescription) -> Workcell:
+    import numpy as np
+
+    from takeapart.workcell import Workcell
+
+    return Workcell("alone", description, np.eye(4), np.array(description.arm.home), np.array([0.3, 0.0, 0.3]))
 
 
 def _placed(description: RobotDescription | None, product: Path | None, workcell: Path | None) -> Placed | None:
@@ -327,6 +331,7 @@ def _placed(description: RobotDescription | None, product: Path | None, workcell
     if description is None:
         raise InputError("a workcell needs an arm with a gripper; name one by --gripper", "--workcell")
     assembly = load_assembly(product)
+    compile_first(_alone(description))
     with progress_bar(f"placing {description.name}") as update:
         return placed_for(description, assembly, re.sub(r"[^A-Za-z0-9._-]", "-", workcell.stem)[:64], update)
 
