@@ -21,7 +21,7 @@ demo: $(READY)  ## plan the disassembly of a shipped assembly; writes out/demo
 	$(BIN)/takeapart demo --out out/demo
 
 kernels: $(READY)  ## compile the geometry kernels, unless that was done
-	$(BIN)/python -m takeapart.cli_compile
+	$(BIN)/python -m takeapart.cli.compile
 
 test: kernels  ## the quick tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow'

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from takeapart.experiments.tables import replace_between_markers
-from takeapart.files import data_path
+from takeapart.formats.files import data_path
 
 
 def main() -> int:

@@ -30,8 +30,8 @@ import numpy as np
 from takeapart.compilation import compiled
 from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import pose_inverse
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.geometry import pose_inverse
 from takeapart.motion.edges import waypoints
 from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.scene import Scene, is_free, new_scene

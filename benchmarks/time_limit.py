@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly, Connector, Part
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import Box, OrientedBox, pose
-from takeapart.planning import SEARCHES, PlanningOptions, SearchName, build_problem, search
-from takeapart.search.exact import ExactOptions
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Box, OrientedBox, pose
+from takeapart.planning import PlanningOptions, build_problem, search
+from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget
 from takeapart.workcell import Workcell
 
@@ -77,7 +77,7 @@ def measure(assembly: Assembly, workcell: Workcell, options: PlanningOptions) ->
 
 
 def rows_of(
-    assemblies: Sequence[Assembly], searches: Sequence[SearchName], limits: Sequence[float], workers: int
+    assemblies: Sequence[Assembly], searches: Sequence[str], limits: Sequence[float], workers: int
 ) -> list[list[str]]:
     """The rows of the table: per assembly and search the time beyond each limit."""
     workcell = load_workcell("panda")
@@ -88,9 +88,9 @@ def rows_of(
         for name in searches:
             cells = []
             for seconds in limits:
-                options = PlanningOptions(
-                    search=name, budget=Budget(seconds=seconds), exact=replace(ExactOptions(), workers=workers)
-                )
+                chosen = SEARCHES[name].options()
+                chosen = replace(chosen, workers=workers) if name == "exact" else chosen
+                options = PlanningOptions(search=name, budget=Budget(seconds=seconds), search_options=chosen)
                 made = measure(assembly, workcell, options)
                 cells.append(_cell(made))
             rows.append([assembly.name, name, *cells])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from takeapart.geometry import OrientedBox
+from takeapart.model.geometry import OrientedBox
 
 
 def box_distance(a: OrientedBox, b: OrientedBox, padding: float = 0.0) -> float:

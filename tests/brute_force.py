@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import nnls
 
-from takeapart.geometry import Array, OrientedBox
+from takeapart.model.geometry import Array, OrientedBox
 from takeapart.robot.arrays import ArmArrays, HeldArrays
 
 

@@ -62,7 +62,7 @@ class Area:
 SEARCHES = ("lattice", "mcts", "baselines", "exact", "best_first", "refinement", "order_search", "determinism")
 AREAS = {
     "verification": Area(
-        ("verification*.py",),
+        ("verification/*.py",),
         (
             *("verification_tolerances", "verification_motion", "verification_holes", "verification"),
             *("carriers", "carrying"),
@@ -76,8 +76,10 @@ AREAS = {
     ),
     "removal": Area(("removal/*.py",), ("bounds", "carrying", "removal", "planning")),
     "search": Area(("search/*.py",), SEARCHES, SEARCHES),
-    "stability": Area(("stability.py", "problem.py"), ("carriers", "stability", "carrying", "problem", "planning")),
-    "runs": Area(("run.py", "run_journal.py"), ("faults",)),
+    "stability": Area(
+        ("stability/connectors.py", "problem/*.py"), ("carriers", "stability", "carrying", "problem", "planning")
+    ),
+    "runs": Area(("planning/run*.py",), ("faults",)),
 }
 
 

@@ -9,12 +9,12 @@ import hypothesis
 import numpy as np
 import pytest
 
-from takeapart.assembly import Assembly, members
-from takeapart.files import data_path, load_workcell
-from takeapart.geometry import Array, OrientedBox
+from takeapart.formats.files import data_path, load_workcell
+from takeapart.generate.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
+from takeapart.model.assembly import Assembly, members
+from takeapart.model.geometry import Array, OrientedBox
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.problem import AssemblyProblem
-from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
 from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays

@@ -29,8 +29,8 @@ from types import FrameType
 from typing import Any
 
 from fuzzed_readers import READERS, Reader
-from takeapart.errors import TakeapartError
 from takeapart.experiments.tables import markdown_table, replace_between_markers
+from takeapart.model.errors import TakeapartError
 
 MARKER = "fuzz"
 LONGEST = 5.0  # s, for one input

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 import example_documents
-from takeapart.files import load_assembly, load_plan, load_workcell
+from takeapart.formats.files import load_assembly, load_plan, load_workcell
+from takeapart.planning.run_journal import Journal, count_answers, create_journal
+from takeapart.planning.runs import FORMAT, VERSION, Identity, _require_same
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.result import Blocked
-from takeapart.run import FORMAT, VERSION, Identity, _require_same
-from takeapart.run_journal import Journal, count_answers, create_journal
 
 SEAL = "a" * 64
 IDENTITY: Identity = {"seed": 0, "options": {"search": "exact", "budget": {"seconds": None}}}

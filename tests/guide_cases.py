@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from synthetic import SyntheticProblem
-from takeapart.assembly import Assembly, Part
-from takeapart.geometry import Box, pose
 from takeapart.guide.experience import ExperienceWriter
+from takeapart.model.assembly import Assembly, Part
+from takeapart.model.geometry import Box, pose
 
 
 def blocks(count: int, seed: int = 0, name: str = "blocks") -> Assembly:

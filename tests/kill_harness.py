@@ -31,8 +31,8 @@ import numpy as np
 
 import takeapart
 from small_assemblies import WORKCELL, three_bars
-from takeapart.assembly import Assembly
-from takeapart.files import data_path, load_assembly, save_assembly
+from takeapart.formats.files import data_path, load_assembly, save_assembly
+from takeapart.model.assembly import Assembly
 
 MOMENTS = ("any time", "while the directory is made", "while answers are written", "while the plan is written")
 SHARES = (0.45, 0.1, 0.35, 0.1)

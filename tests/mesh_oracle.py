@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 import yourdfpy
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.workcell import RobotDescription
 
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from plan_mutations import MUTATIONS, Corrupted, Target, corrupted_plans
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.verification import Verifier, format_finding
 from verification_scene import scene_assembly, scene_plan, scene_workcell

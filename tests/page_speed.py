@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from browser import opened, wait_until
-from takeapart.files import data_path
-from takeapart.render_scene import PlanScene
-from takeapart.render_subject import load_subject
+from takeapart.formats.files import data_path
+from takeapart.page.standalone import save_page
+from takeapart.show.scene import PlanScene
+from takeapart.show.subject import load_subject
 from takeapart.viewer import Viewer
-from takeapart.viewer_page import save_page
 
 START, END = "<!-- figures -->", "<!-- end of figures -->"
 SECONDS = 10.0  # of playing

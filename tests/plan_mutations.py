@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.geometry import Array, quaternion_from_rotation, rotation_from_quaternion
-from takeapart.plan import Grasp, Plan, PlanStep
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array, quaternion_from_rotation, rotation_from_quaternion
+from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.workcell import Workcell
 from verification_scene import line_path, tool_rows
 

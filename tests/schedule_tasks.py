@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.errors import TakeapartError
 from takeapart.experiments.jobs import Job, Outcome
+from takeapart.model.errors import TakeapartError
 
 
 @dataclass(frozen=True)

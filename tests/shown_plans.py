@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from small_assemblies import WORKCELL, three_bars
-from takeapart.files import load_workcell, save_assembly, save_plan
-from takeapart.plan import Plan
+from takeapart.formats.files import load_workcell, save_assembly, save_plan
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
-from takeapart.render_scene import PlanScene
+from takeapart.show.scene import PlanScene
 from takeapart.workcell import Workcell
 
 

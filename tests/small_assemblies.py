@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from takeapart.assembly import Assembly, Connector
-from takeapart.geometry import OrientedBox, pose
+from takeapart.model.assembly import Assembly, Connector
+from takeapart.model.geometry import OrientedBox, pose
 from verification_scene import bar, scene_assembly, u_walls
 
 WORKCELL = """

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.geometry import Box, OrientedBox, pose, pose_inverse
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Box, OrientedBox, pose, pose_inverse
 
 BASE = Part("base", Box((0.4, 0.06, 0.02)), pose(), 1.0, fixed=True)  # its top is at 10 mm
 

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.plan import Grasp
-from takeapart.problem import Counts, Guide
-from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.model.plan import Grasp
+from takeapart.problem import Guide
+from takeapart.removal.bounds import EdgeBounds
+from takeapart.removal.result import Blocked, Counts, Effort, Removal
 
 STRAIGHT_LINE = 0.8  # the a-priori bound of a part, as a share of its shortest hidden removal
 
@@ -72,6 +73,7 @@ class SyntheticProblem:
         self.root = (1 << len(hidden)) - 1
         self.counts = Counts()
         self.asked: list[tuple[int, int, Effort]] = []  # counted queries, in order
+        self.given_bounds: EdgeBounds | None = None
         self._library: list[list[Removal]] = [[] for _ in hidden]
         self._closed: list[set[int]] = [set() for _ in hidden]  # states whose edge was planned with full effort
         self._planned: dict[tuple[int, int], int] = {}
@@ -130,6 +132,26 @@ class SyntheticProblem:
         return found
 
     # What a search sees.
+
+    @property
+    def hindered_by(self) -> Sequence[int] | None:
+        """Not said here: `needs` is no condition that masks of what must be gone could express."""
+        return None
+
+    @property
+    def edge_bounds(self) -> EdgeBounds:
+        """Those given, or new ones for every search, which knows nothing of earlier ones then."""
+        return self.given_bounds or EdgeBounds([self.static_lower(part) for part in range(len(self.hidden))])
+
+    def static_lower(self, part: int) -> float:
+        """The a-priori bound of a part in `edge_bounds`, m."""
+        return 0.0
+
+    def hindrance(self, state: int, part: int) -> Blocked | None:
+        if part in self.candidates(state):
+            return None
+        masks = self.hindered_by
+        return Blocked(part, "stability", state & (masks[part] if masks is not None else ~(1 << part)))
 
     def candidates(self, state: int) -> list[int]:
         return [

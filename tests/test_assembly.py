@@ -1,4 +1,4 @@
-"""assembly.py: states, bodies, and every error with its message."""
+"""Assemblies: states, bodies, and every error with its message."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from takeapart.assembly import MAXIMUM_PARTS, OVERLAP_TOLERANCE, Assembly, Connector, Part, members
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.geometry import Box, OrientedBox, pose
+from takeapart.model.assembly import MAXIMUM_PARTS, OVERLAP_TOLERANCE, Assembly, Connector, Part, members
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.geometry import Box, OrientedBox, pose
 
 SIZE = (0.1, 0.02, 0.02)
 

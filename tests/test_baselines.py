@@ -18,7 +18,7 @@ from synthetic import (
     problem_with_dead_ends,
     random_problem,
 )
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.baselines import (
     BeamOptions,
@@ -29,8 +29,9 @@ from takeapart.search.baselines import (
     random_order,
     random_restarts,
 )
-from takeapart.search.mcts import SECOND_LOOK, MctsOptions, mcts
+from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, Progress, SearchResult
+from takeapart.search.session import SECOND_LOOK
 
 Search = Callable[[SyntheticProblem, Budget, int], SearchResult]
 
@@ -103,7 +104,7 @@ def test_a_sequence_is_found_behind_dead_ends(search: Search) -> None:
         problem = problem_with_dead_ends(7, seed)
         result = search(problem, Budget(), seed)
         assert_executable(problem, result)
-        assert "infeasible" not in result.statistics
+        assert not result.infeasible
         met += result.statistics["episodes"] > 1 or result.statistics["states"] > 8
     assert met  # some searches stepped back: eight states are a straight way down
 
@@ -115,7 +116,7 @@ def test_infeasible_problem_is_proved_and_refused(search: Search) -> None:
         reachable = problem.reachable()
         result = search(problem, Budget(), seed)
         assert result.removals == () and result.length == math.inf
-        assert result.statistics["infeasible"] == 1.0
+        assert result.infeasible
         assert result.statistics["states"] == len(reachable)
         deepest = min(state.bit_count() for state, removable in reachable.items() if not removable)
         assert result.refusals
@@ -145,7 +146,7 @@ def test_no_state_is_entered_twice(search: Search, monkeypatch: pytest.MonkeyPat
 @ALL
 def test_infeasibility_is_not_claimed_when_the_budget_runs_out(search: Search) -> None:
     result = search(random_problem(7, 0, feasible=False), Budget(queries=5), 0)
-    assert result.removals == () and "infeasible" not in result.statistics
+    assert result.removals == () and not result.infeasible
 
 
 def test_feasible_monotone_problems_have_no_dead_ends() -> None:
@@ -155,9 +156,9 @@ def test_feasible_monotone_problems_have_no_dead_ends() -> None:
 
 def test_first_dead_end_proves_infeasibility_of_a_monotone_problem() -> None:
     whole, first = random_problem(9, 2, feasible=False), random_problem(9, 2, feasible=False)
-    assert run_random(whole, Budget(), 0).statistics["infeasible"] == 1.0
+    assert run_random(whole, Budget(), 0).infeasible
     result = random_order(first, OrderOptions(monotone=True), Budget(), np.random.default_rng(0))
-    assert result.statistics["infeasible"] == 1.0 and len(result.refusals) == 1
+    assert result.infeasible and len(result.refusals) == 1
     assert first.counts.removal_queries < whole.counts.removal_queries
     feasible = random_problem(9, 2)
     assert_executable(feasible, random_order(feasible, OrderOptions(monotone=True), Budget(), np.random.default_rng(0)))

@@ -19,13 +19,14 @@ from order_search_cases import (
     never_leaving,
 )
 from synthetic import InterruptedProblem, SyntheticProblem, exact_guide, problem_with_dead_ends, random_problem
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.baselines import BeamOptions, beam
 from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.orders import smallest_states
-from takeapart.search.result import Budget, Clock, Progress, ProgressListener, SearchResult
+from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
+from takeapart.search.session import Clock
 
 
 def run(
@@ -130,7 +131,7 @@ def test_with_noise_the_plan_is_best_for_the_costs_in_hand() -> None:
     for seed in range(30):
         problem = MaskedProblem(random_problem(7, seed, density=0.6, noise=0.3))
         bounds = EdgeBounds([problem.static_lower(part) for part in range(7)])
-        problem.edge_bounds = bounds  # type: ignore[attr-defined]
+        problem.given_bounds = bounds
         result = run(problem)
         fell += bounds.falls > 0
         best = {0: 0.0}
@@ -250,7 +251,7 @@ def test_seconds_end_a_sweep_that_asks_nothing(monkeypatch: pytest.MonkeyPatch) 
     ended = 0
     for seed in range(20):
         problem = MaskedProblem(random_problem(8, seed, density=0.6))
-        problem.edge_bounds = EdgeBounds([problem.static_lower(part) for part in range(8)])  # type: ignore[attr-defined]
+        problem.given_bounds = EdgeBounds([problem.static_lower(part) for part in range(8)])
         assert run(problem, beams=()).length == pytest.approx(
             problem.optimum()[0]
         )  # now every edge on the way is known

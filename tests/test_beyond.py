@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from small_assemblies import WORKCELL, three_bars, two_bars
-from takeapart.errors import InputError, UnknownNameError
 from takeapart.experiments.beyond_exact import BeyondSettings, beyond_jobs, compare_beyond
 from takeapart.experiments.beyond_report import BeyondRun, draw, lengths_markdown, means_markdown, runs_csv
-from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
+from takeapart.experiments.beyond_tasks import SEARCHED, BeyondTask
 from takeapart.experiments.workers import LocalWorkers
-from takeapart.files import load_workcell, save_assembly
+from takeapart.formats.files import load_workcell, save_assembly
+from takeapart.model.errors import InputError, UnknownNameError
 
 
 def run_of(name: str, search: str, guided: bool, *trace: tuple[int, float]) -> BeyondRun:
@@ -76,7 +76,7 @@ def test_settings_are_checked(tmp_path: Path) -> None:
         compare_beyond(settings, tmp_path, LocalWorkers(1))
 
 
-@pytest.mark.parametrize("search", list(RUNNERS))
+@pytest.mark.parametrize("search", list(SEARCHED))
 def test_every_search_stays_within_its_queries(search: str, tmp_path: Path) -> None:
     (tmp_path / "cell.toml").write_text(WORKCELL)
     cell = load_workcell(tmp_path / "cell.toml")

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from synthetic import synthetic_removal
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked, Removal
 

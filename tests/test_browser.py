@@ -19,13 +19,13 @@ import pytest
 
 from browser import PATIENCE, Opened, opened, wait_until
 from shown_plans import small_scene, write_files
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_workcell
-from takeapart.render_scene import PlanScene
+from takeapart.formats.files import data_path, load_workcell
+from takeapart.model.errors import InputError
+from takeapart.page.standalone import MAXIMUM_BYTES, assembled, save_page
+from takeapart.show.playback import GRIP, TOOL_SPEED, Timeline
+from takeapart.show.scene import PlanScene
 from takeapart.viewer import Viewer
-from takeapart.viewer_drawing import box_mesh
-from takeapart.viewer_page import MAXIMUM_BYTES, assembled, save_page
-from takeapart.viewer_time import GRIP, TOOL_SPEED, Timeline
+from takeapart.viewer.drawing import box_mesh
 
 SRC = Path(__file__).resolve().parents[1] / "src"
 
@@ -352,7 +352,7 @@ def test_viewer_moves_parts_as_the_plan_does(folder: Path) -> None:
 
 def test_boxes_are_closed_and_face_outwards() -> None:
     for name in ("single/01.json",):
-        from takeapart.files import load_assembly
+        from takeapart.formats.files import load_assembly
 
         scene = PlanScene(load_assembly(data_path(name)), load_workcell("panda"))
         for i in (0, 12, 25):
@@ -384,8 +384,8 @@ def test_timeline_grips_moves_and_lets_go(direction: str) -> None:
 
 
 def test_explainer_says_what_the_planner_says(folder: Path) -> None:
-    from takeapart.render_facts import part_facts
-    from takeapart.viewer_explain import Explainer
+    from takeapart.show.facts import part_facts
+    from takeapart.viewer.explain import Explainer
 
     scene = small_scene(folder)
     facts = part_facts(scene)
@@ -405,7 +405,7 @@ def test_search_is_told_while_it_runs(folder: Path) -> None:
 
     from takeapart.planning import PlanningOptions, plan
     from takeapart.search.result import Progress
-    from takeapart.viewer_live import LiveSearch
+    from takeapart.viewer.live import LiveSearch
 
     scene = small_scene(folder)
     viewer = Viewer()

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Array, Box, OrientedBox, pose
 from takeapart.stability import ConnectorStability
-from takeapart.verification_checks import carriers
+from takeapart.verification.checks import carriers
 
 Rule = Callable[[Assembly, str], set[str]]
 MIDDLE = 0.5  # m, height of the guest's middle

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from support_scenes import box, collar
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly
-from takeapart.geometry import Box, OrientedBox, pose
+from takeapart.formats.files import data_path, load_assembly
+from takeapart.formats.schemas import AssemblyModel, validated
+from takeapart.formats.serialization import assembly_document
+from takeapart.generate.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Box, OrientedBox, pose
 from takeapart.planning import Infeasible, PlanningOptions, plan
-from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
 from takeapart.removal.grasps import ungraspable
 from takeapart.removal.planner import RemovalPlanner
-from takeapart.schemas import AssemblyModel, validated
-from takeapart.serialization import assembly_document
 from takeapart.stability import require_support, unsupported
-from takeapart.verification_checks import check_payload
-from takeapart.verification_replay import Replay
-from takeapart.verification_report import VerificationOptions
-from takeapart.verification_support import Support, check_support
+from takeapart.verification.checks import check_payload
+from takeapart.verification.replay import Replay
+from takeapart.verification.report import VerificationOptions
+from takeapart.verification.support import Support, check_support
 from takeapart.workcell import Obstacle, Workcell
 from verification_scene import scene_assembly, scene_plan, scene_workcell
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from takeapart.assembly import Assembly
-from takeapart.cells import cells_around
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.generate.cells import cells_around
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 from takeapart.stability import ConnectorStability, unsupported
 
 

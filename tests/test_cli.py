@@ -22,12 +22,16 @@ from rich.console import Console
 import takeapart
 from example_documents import snapshot
 from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
-from takeapart import cli_compile, cli_generate, cli_plan, files, planning, profiles
-from takeapart.assembly import Assembly
-from takeapart.cli import main
-from takeapart.cli_output import progress_of
-from takeapart.files import load_assembly, load_plan, save_assembly, save_plan
+from takeapart.cli import compile as cli_compile
+from takeapart.cli import generate as cli_generate
+from takeapart.cli.commands import main
+from takeapart.cli.output import progress_of
+from takeapart.formats import files
+from takeapart.formats.files import load_assembly, load_plan, save_assembly, save_plan
+from takeapart.generate import profiles
+from takeapart.model.assembly import Assembly
 from takeapart.removal.planner import RemovalPlanner
+from takeapart.search.registry import SEARCHES
 from verification_scene import scene_plan
 
 SOURCE = Path(takeapart.__file__).resolve().parents[1]
@@ -194,7 +198,8 @@ def test_a_real_process_fails_without_a_traceback(folder: Path) -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys\nfrom takeapart.cli import main\ntry:\n    main(['plan', '--help'])\nexcept SystemExit:\n    pass\n"
+        "import sys\nfrom takeapart.cli.commands import main\n"
+        "try:\n    main(['plan', '--help'])\nexcept SystemExit:\n    pass\n"
         "print(sorted({'numpy', 'numba', 'mujoco', 'ssik', 'pydantic', 'rich', 'torch'} & set(sys.modules)))"
     )
     done = subprocess.run(
@@ -259,7 +264,9 @@ def test_the_version() -> None:
 
 
 def test_the_searches_offered_are_those_of_the_library() -> None:
-    assert cli_plan.SEARCHES == planning.SEARCHES
+    shown = " ".join(run("plan", "--help").stdout.split())
+    assert f"[{'|'.join(SEARCHES)}]" in shown.replace("| ", "|")
+    assert all(entry.description in shown for entry in SEARCHES.values())
 
 
 def test_plan_writes_and_prints(folder: Path) -> None:
@@ -406,7 +413,7 @@ def test_an_interrupt_keeps_the_best_plan_so_far(folder: Path, monkeypatch: pyte
         assert json.loads(result.stdout)["interrupted"] is True
 
 
-@pytest.mark.parametrize("search", planning.SEARCHES)
+@pytest.mark.parametrize("search", SEARCHES)
 def test_an_interrupt_before_any_plan_leaves_nothing(
     folder: Path, monkeypatch: pytest.MonkeyPatch, search: str
 ) -> None:

@@ -15,8 +15,8 @@ import pytest
 from click.testing import CliRunner
 
 from small_assemblies import WORKCELL, two_bars
-from takeapart.cli import main
-from takeapart.files import save_assembly, save_plan
+from takeapart.cli.commands import main
+from takeapart.formats.files import save_assembly, save_plan
 from verification_scene import scene_plan
 
 NOBODY = 65534
@@ -110,7 +110,7 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         raise AssertionError("the work began before the path was looked at")
 
     for module in ("plan", "inspect", "generate", "compare", "reproduce"):
-        monkeypatch.setattr(f"takeapart.cli_{module}.compile_first", work_begins)
+        monkeypatch.setattr(f"takeapart.cli.{module}.compile_first", work_begins)
     yield here
     (here / "closed").chmod(0o700)
     shutil.rmtree(here)
@@ -165,7 +165,7 @@ def test_outputs_in_new_folders_are_made(folder: Path) -> None:
 
 def test_a_full_standard_output_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
-    monkeypatch.setattr("takeapart.cli._complain", told.append)
+    monkeypatch.setattr("takeapart.cli.commands._complain", told.append)
     with open("/dev/full", "w") as full, pytest.raises(SystemExit) as ended:
         monkeypatch.setattr("sys.stdout", full)
         main(["show", "panda"])

@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from small_assemblies import WORKCELL, two_bars
-from takeapart.cli import main
-from takeapart.cli_reproduce import duration, schedule_listener
+from takeapart.cli.commands import main
+from takeapart.cli.reproduce import duration, schedule_listener
 from takeapart.experiments import paper_settings
 from takeapart.experiments.schedule import ScheduleProgress
-from takeapart.files import save_assembly
+from takeapart.formats.files import save_assembly
 from test_reproduce import small_settings
 
 

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from synthetic import SyntheticProblem, random_problem
-from takeapart.assembly import Assembly
-from takeapart.errors import InputError
 from takeapart.experiments import comparison
 from takeapart.experiments.comparison import (
-    SEARCHES,
+    COMPARED,
     Comparison,
     Outcome,
     comma_separated,
@@ -24,11 +22,13 @@ from takeapart.experiments.comparison import (
     summary,
     table,
 )
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 from takeapart.search.result import Progress
 
 
-@pytest.mark.parametrize("name", SEARCHES)
+@pytest.mark.parametrize("name", COMPARED)
 def test_no_search_asks_more_than_its_budget(name: str) -> None:
     for queries in (5, 30, 100):
         problem: SyntheticProblem = random_problem(8, 3)

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from takeapart import cli_compile
-from takeapart.assembly import Assembly, Part
-from takeapart.cli_kernels import Unit, called_by, units
+from takeapart.cli import compile as cli_compile
+from takeapart.cli.kernels import Unit, called_by, units
 from takeapart.compilation import LeanKernel, compiled, compiled_apart, compiled_lean, has_machine_code
-from takeapart.files import load_workcell
-from takeapart.geometry import Box, pose
-from takeapart.plan import Grasp
+from takeapart.formats.files import load_workcell
+from takeapart.model.assembly import Assembly, Part
+from takeapart.model.geometry import Box, pose
+from takeapart.model.plan import Grasp
+from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
 from takeapart.search.exact import ExactOptions, exact
@@ -79,10 +80,13 @@ class TwoParts:
     hindered_by = (0, 0)  # with it the enumeration of states is the compiled one
 
     def __init__(self) -> None:
-        self.counts = Counts()
+        self.counts, self.edge_bounds = Counts(), EdgeBounds([0.0, 0.0])
 
     def candidates(self, state: int) -> Sequence[int]:
         return [part for part in range(2) if state >> part & 1]
+
+    def hindrance(self, state: int, part: int) -> None:
+        return None
 
     def upper(self, state: int, part: int) -> float:
         return math.inf
@@ -181,7 +185,7 @@ def test_heavy_libraries_are_imported_only_where_they_are_used() -> None:
         "import sys, takeapart.planning\n"
         "from takeapart.robot.ik import InverseKinematics\n"
         "from takeapart.robot.loading import load_robot\n"
-        "from takeapart.files import load_workcell\n"
+        "from takeapart.formats.files import load_workcell\n"
         "load_robot(load_workcell('panda')) if sys.argv[1] == 'robot' else None\n"
         "InverseKinematics(load_robot(load_workcell('panda'))) if sys.argv[1] == 'robot' else None\n"
         "print(*sys.modules)"

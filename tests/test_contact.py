@@ -1,4 +1,4 @@
-"""contact.py against linear programs and sampling that know only the corners and planes of the boxes."""
+"""Contact against linear programs and sampling that know only the corners and planes of the boxes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from box_oracle import box_distance
-from takeapart.contact import TOUCHING, beyond_hull, distance, seats
-from takeapart.geometry import Array, OrientedBox, pose
+from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.stability.contact import TOUCHING, beyond_hull, distance, seats
 
 
 def drawn(rng: np.random.Generator, reach: float, tilt: float) -> OrientedBox:

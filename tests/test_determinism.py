@@ -14,12 +14,13 @@ import numpy as np
 
 import takeapart
 from small_assemblies import three_bars
-from takeapart.assembly import members
-from takeapart.plan import Plan
+from takeapart.formats.serialization import plan_document
+from takeapart.model.assembly import members
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
-from takeapart.serialization import plan_document
+from takeapart.search.exact import ExactOptions
 from verification_scene import scene_workcell
 
 SLOW_LOADING = """
@@ -49,8 +50,7 @@ json.dump(made_by(2), sys.stdout)
 
 def made_by(workers: int) -> dict[str, object]:
     """The plan of three bars by exact search with so many threads, as its file holds it."""
-    options = PlanningOptions()
-    options = replace(options, exact=replace(options.exact, workers=workers))
+    options = PlanningOptions(search_options=ExactOptions(workers=workers))
     made = plan(three_bars(), scene_workcell(), options)
     assert isinstance(made, Plan)
     return plan_document(replace(made, seconds=0.0))

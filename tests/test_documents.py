@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from takeapart.files import assembly_hash, data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import assembly_hash, data_path, load_assembly, load_workcell
+from takeapart.model.plan import Plan
+from takeapart.pictures.renderer import NoGraphicsError
 from takeapart.planning import plan
-from takeapart.render import NoGraphicsError
 
 ROOT = Path(__file__).resolve().parents[1]
 FENCE = re.compile(r"^```python([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -93,10 +93,10 @@ def test_listed_function_is_there_documented_and_used_in_an_example(name: str) -
 
 
 def test_public_functions_of_the_main_modules_are_listed() -> None:
-    """What `takeapart.files` exports, and the functions that the commands are made of."""
-    exported = importlib.import_module("takeapart.files").__all__
-    assert {f"takeapart.files.{name}" for name in exported} <= set(listed())
-    for name in ("planning.plan", "verification.verify_plan", "profiles.generate", "report.save_report"):
+    """What `takeapart.formats.files` exports, and the functions that the commands are made of."""
+    exported = importlib.import_module("takeapart.formats.files").__all__
+    assert {f"takeapart.formats.files.{name}" for name in exported} <= set(listed())
+    for name in ("planning.plan", "verification.verify_plan", "generate.profiles.generate", "report.save_report"):
         assert f"takeapart.{name}" in listed()
 
 
@@ -122,7 +122,7 @@ def test_documents_refer_to_files_that_exist() -> None:
 
 
 def test_options_of_the_commands_in_the_documents_exist() -> None:
-    from takeapart.cli import main
+    from takeapart.cli.commands import main
 
     shown = re.compile(r"takeapart (view|render|report|plan|show|explain|verify)\b([^`\n#]*)")
     for document in ("tutorial.md", "viewer.md"):

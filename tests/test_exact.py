@@ -17,7 +17,7 @@ from order_search_cases import (
     never_leaving,
 )
 from synthetic import InterruptedProblem, SyntheticProblem, exact_guide, problem_with_dead_ends, random_problem
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked
 from takeapart.search import lattice_bounds
@@ -97,7 +97,7 @@ def test_is_never_longer_than_the_best_sequence_of_what_it_found() -> None:
     for seed in range(10):
         problem = MaskedProblem(random_problem(8, seed, noise=0.1))
         bounds = EdgeBounds([problem.static_lower(part) for part in range(8)])
-        problem.edge_bounds = bounds  # type: ignore[attr-defined]
+        problem.given_bounds = bounds
         result = run(problem)
         known = [[(each.length, each.blockers) for each in bounds.removals(part)] for part in range(8)]
         best = {0: 0.0}
@@ -151,7 +151,7 @@ def test_infeasible_by_gravity_alone_asks_for_nothing_but_what_may_be_lifted() -
 def test_a_problem_may_tell_gravity_from_lifting() -> None:
     problem = random_problem(4, 0)
     problem.gravity[:2] = [0b0010, 0b0001]
-    problem.hindrance = lambda state, part: Blocked(part, "lift", 1 - part)  # type: ignore[attr-defined]
+    problem.hindrance = lambda state, part: Blocked(part, "lift", 1 - part)  # type: ignore[method-assign]
     (_, refusals), *_ = run(problem).refusals
     assert refusals == (Blocked(0, "lift", 1), Blocked(1, "lift", 0))
 
@@ -170,7 +170,7 @@ def test_a_refusal_is_looked_at_twice_before_there_is_no_order() -> None:
     assert found.length == pytest.approx(truth.optimum()[0])
     given_up = run(ForgetfulProblem(truth, blind=0b011010, sight=4), second_look=0)
     assert not given_up.removals
-    assert given_up.statistics["infeasible"] == 1.0
+    assert given_up.infeasible
 
 
 def test_dead_ends_that_a_second_look_frees_are_not_told() -> None:
@@ -226,7 +226,7 @@ def test_budget_in_queries(queries: int) -> None:
         result = run(problem, budget=Budget(queries=queries), workers=workers)
         assert problem.counts.removal_queries == queries
         assert not result.interrupted
-        assert result.statistics["infeasible"] == 0.0
+        assert not result.infeasible
         assert result.sequence_bound is not None
         assert result.sequence_bound <= problem.optimum()[0] + 1e-9
         if result.removals:
@@ -262,7 +262,7 @@ def test_shared_bounds_make_a_second_search_free() -> None:
     lengths, queries = [], []
     for _ in range(2):
         problem = random_problem(8, 6)
-        problem.edge_bounds = bounds  # type: ignore[attr-defined]
+        problem.given_bounds = bounds
         lengths.append(run(problem, refinement=NO_REFINEMENT).length)
         queries.append(problem.counts.removal_queries)
     assert lengths[0] == lengths[1]

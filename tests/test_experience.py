@@ -17,12 +17,12 @@ import pytest
 import takeapart
 from small_assemblies import three_bars, two_bars
 from synthetic import random_problem
-from takeapart.assembly import members
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.formats.serialization import assembly_hash
 from takeapart.guide.experience import ExperienceWriter, card_markdown, data_card, read_experience
+from takeapart.model.assembly import members
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget
-from takeapart.serialization import assembly_hash
 
 
 def write_order(folder: Path, order: list[int], flush_rows: int = 20_000, seed: int = 3) -> None:
@@ -124,7 +124,7 @@ ENDLESS = """
 import sys
 from pathlib import Path
 from small_assemblies import three_bars
-from takeapart.assembly import members
+from takeapart.model.assembly import members
 from takeapart.guide.experience import ExperienceWriter
 
 assembly = three_bars()

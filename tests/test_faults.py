@@ -26,21 +26,23 @@ from click.testing import CliRunner
 import takeapart
 from kill_harness import CASES, Case, disturb
 from small_assemblies import WORKCELL, three_bars, two_bars
-from takeapart.assembly import Assembly
-from takeapart.cli import main
-from takeapart.cli_plan import options_of
-from takeapart.errors import InputError
-from takeapart.files import load_assembly, load_plan, load_workcell, save_assembly
-from takeapart.geometry import pose
-from takeapart.plan import Grasp, Plan
+from takeapart.cli.commands import main
+from takeapart.cli.plan import options_of
+from takeapart.formats.files import load_assembly, load_plan, load_workcell, save_assembly
+from takeapart.formats.serialization import plan_document
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import pose
+from takeapart.model.plan import Grasp, Plan
 from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity, sources_digest
+from takeapart.planning.run_journal import Journal, _digest, create_journal, recorded_answers
+from takeapart.planning.runs import Identity, RunBudget, open_run
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
-from takeapart.run import Identity, RunBudget, open_run
-from takeapart.run_journal import Journal, _digest, create_journal, recorded_answers
+from takeapart.search.exact import ExactOptions
+from takeapart.search.mcts import MctsOptions
 from takeapart.search.result import Budget
-from takeapart.serialization import plan_document
 from verification_scene import scene_workcell
 
 OPTIONS = PlanningOptions(budget=Budget(episodes=10))
@@ -63,9 +65,10 @@ def undisturbed(search: str) -> dict[str, object]:
 
 
 def options_for(search: str, workers: int = 1) -> PlanningOptions:
-    options = replace(OPTIONS, search=search)  # type: ignore[arg-type]
-    memory = replace(options.mcts, memory="paper", attempts=2)
-    return replace(options, mcts=memory, exact=replace(options.exact, workers=workers))
+    options = replace(OPTIONS, search=search)
+    if search == "mcts":
+        return replace(options, search_options=MctsOptions(memory="paper", attempts=2))
+    return replace(options, search_options=ExactOptions(workers=workers)) if search == "exact" else options
 
 
 @contextmanager
@@ -178,7 +181,7 @@ def test_another_assembly_or_workcell_is_refused(tmp_path: Path) -> None:
 def test_a_run_of_other_sources_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(CutOffError), counted(1):
         plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
-    monkeypatch.setattr("takeapart.planning.sources_digest", lambda: "0" * 64)
+    monkeypatch.setattr("takeapart.planning.plans.sources_digest", lambda: "0" * 64)
     with pytest.raises(InputError, match=r"sources was '\w{12}\.\.\.'?, now '?0{12}\.\.\.'?; take another folder"):
         plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
 
@@ -188,7 +191,7 @@ def test_every_source_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     (package / "removal").mkdir(parents=True)
     (package / "__init__.py").write_text("")
     (package / "removal" / "planner.py").write_text("a = 1\n")
-    monkeypatch.setattr("takeapart.planning.takeapart.__file__", str(package / "__init__.py"))
+    monkeypatch.setattr("takeapart.planning.plans.takeapart.__file__", str(package / "__init__.py"))
     digests = [sources_digest.__wrapped__()]
     (package / "removal" / "planner.py").write_text("a = 2\n")
     digests.append(sources_digest.__wrapped__())
@@ -527,7 +530,7 @@ def test_a_full_disk_loses_nothing(room: int, tmp_path: Path) -> None:
 
 def test_seconds_of_all_sessions_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr("takeapart.run_journal.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("takeapart.planning.run_journal.time.monotonic", lambda: now[0])
     answers = some_answers(2, np.random.default_rng(8))
     create_journal(tmp_path / "journal.sqlite", SEAL)
     journal = Journal(tmp_path / "journal.sqlite", SEAL)
@@ -556,7 +559,7 @@ def test_seconds_of_all_sessions_count(tmp_path: Path, monkeypatch: pytest.Monke
 def test_the_clock_of_a_run_never_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A session that is slower than the one before: what it recalls was answered earlier than its clock says."""
     now = [0.0]
-    monkeypatch.setattr("takeapart.run_journal.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("takeapart.planning.run_journal.time.monotonic", lambda: now[0])
     answers = some_answers(3, np.random.default_rng(9))
     create_journal(tmp_path / "journal.sqlite", SEAL)
     journal = Journal(tmp_path / "journal.sqlite", SEAL)
@@ -622,7 +625,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_assembly(three_bars(), tmp_path / "three.json")
     (tmp_path / "cell.toml").write_text(WORKCELL)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("takeapart.cli_plan.compile_first", lambda workcell: None)
+    monkeypatch.setattr("takeapart.cli.plan.compile_first", lambda workcell: None)
     return tmp_path
 
 

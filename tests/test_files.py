@@ -15,10 +15,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import example_documents
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.documents import require_writable, write_atomically
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.files import (
+from takeapart.formats.documents import require_writable, write_atomically
+from takeapart.formats.files import (
     assembly_hash,
     data_path,
     load_assembly,
@@ -28,8 +26,10 @@ from takeapart.files import (
     save_plan,
     workcell_hash,
 )
-from takeapart.geometry import Box, OrientedBox, pose
-from takeapart.plan import Grasp, Plan, PlanStep
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.geometry import Box, OrientedBox, pose
+from takeapart.model.plan import Grasp, Plan, PlanStep
 
 angles = st.floats(-3.2, 3.2)
 

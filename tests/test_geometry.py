@@ -1,4 +1,4 @@
-"""geometry.py against scipy: rotations, Minkowski differences, and closest points by bounded least squares."""
+"""Geometry against scipy: rotations, Minkowski differences, and closest points by bounded least squares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from takeapart.geometry import (
+from takeapart.model.geometry import (
     Box,
     OrientedBox,
     Shape,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from takeapart.files import load_workcell
+from takeapart.formats.files import load_workcell
 from takeapart.robot import covering
 from takeapart.robot.kept import keep, kept
 from takeapart.robot.loading import load_robot

@@ -21,8 +21,9 @@ from conftest import (
     world_around,
     world_of,
 )
-from takeapart.assembly import Assembly, Part, members
-from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.formats.robot_files import load_robot_description
+from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays
@@ -32,9 +33,8 @@ from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import FREE, HIT_SELF, HIT_WORLD, LARGEST_MARGIN, check, collect, placed
 from takeapart.robot.kinematics import forward, jacobian, motion_of_ball, place, place_held, set_motion
 from takeapart.robot.model import RobotModel
-from takeapart.robot_files import load_robot_description
-from takeapart.verification_model import STATIC_BITS
-from takeapart.verification_model import Scene as MujocoScene
+from takeapart.verification.model import STATIC_BITS
+from takeapart.verification.model import Scene as MujocoScene
 from takeapart.workcell import Obstacle, Workcell
 
 SIGHT = 0.08  # m

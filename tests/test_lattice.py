@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from synthetic import SyntheticProblem, problem_with_dead_ends, random_problem, synthetic_removal
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.lattice import (
     Lattice,

@@ -17,10 +17,11 @@ from synthetic import (
     problem_with_dead_ends,
     random_problem,
 )
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.removal.result import Blocked, Effort
-from takeapart.search.mcts import Logbook, MctsOptions, Node, TreeSearch, mcts, normalised_returns, uct_values
+from takeapart.search.mcts import MctsOptions, Node, TreeSearch, mcts, normalised_returns, uct_values
 from takeapart.search.result import Budget, Progress, SearchResult
+from takeapart.search.session import Session
 
 WHOLE_TREE = MctsOptions(patience=10**9)
 
@@ -103,8 +104,8 @@ def test_uct_on_a_tree_worked_out_by_hand() -> None:
     assert search.select(root) is without_sequence
 
 
-def log_of(problem: SyntheticProblem) -> Logbook:
-    return Logbook(problem, Budget())
+def log_of(problem: SyntheticProblem) -> Session:
+    return Session(problem, Budget())
 
 
 def test_normalisation_falls_back_to_the_whole_search_without_spread() -> None:
@@ -213,7 +214,7 @@ def test_budgets(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(random_problem(8, 2), episodes=3).statistics["episodes"] == 3
 
     ticks = itertools.count()
-    monkeypatch.setattr("takeapart.search.result.time.monotonic", lambda: float(next(ticks)))
+    monkeypatch.setattr("takeapart.search.session.time.monotonic", lambda: float(next(ticks)))
     problem = random_problem(8, 2)
     run(problem, MctsOptions(memory="paper"), seconds=30.0)
     assert 0 < problem.counts.removal_queries <= 30

@@ -14,7 +14,7 @@ import pytest
 from ssik.prebuilt import franka_panda_ik
 
 from conftest import random_box, random_configurations, random_rotation, scene_of, world_around, world_of
-from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import (
     bisection,

@@ -16,7 +16,7 @@ from ssik.prebuilt import franka_panda_ik
 
 from brute_force import box_gaps, corners, frames, load_boxes, self_gap, world_gap
 from conftest import boxes_around, random_configurations, random_rotation, scene_of, world_of
-from takeapart.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.geometry import Array, Box, OrientedBox, pose
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import joint_edge_free, resampled, tool_edge
 from takeapart.motion.scene import Scene, is_free, new_scene, piece_free

@@ -10,13 +10,13 @@ import torch
 
 from graph_oracle import oracle_values
 from small_assemblies import three_bars
-from takeapart.assembly import Assembly, members
-from takeapart.files import data_path, load_assembly
-from takeapart.geometry import Box, pose
+from takeapart.formats.files import data_path, load_assembly
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.forward import ForwardPass
 from takeapart.guide.graph import batched, part_geometry, state_graph
 from takeapart.guide.network import QNetwork
+from takeapart.model.assembly import Assembly, members
+from takeapart.model.geometry import Box, pose
 
 
 @pytest.fixture(scope="module")

@@ -14,18 +14,18 @@ import pytest
 
 from browser import PATIENCE, Opened, opened
 from shown_plans import small_scene, write_files
-from takeapart.cli_view import _load
-from takeapart.render_facts import part_facts
-from takeapart.render_figures import lasting_bounds
-from takeapart.render_markup import Markup, document, element, joined, plain, stylesheet
-from takeapart.render_scene import PlanScene
-from takeapart.render_subject import load_subject
+from takeapart.cli.view import _load
+from takeapart.page.standalone import page, save_page
 from takeapart.report import page as report_page
 from takeapart.report import report, save_report
-from takeapart.report_charts import Bar, bars
+from takeapart.report.charts import Bar, bars
+from takeapart.show.facts import part_facts
+from takeapart.show.figures import lasting_bounds
+from takeapart.show.markup import Markup, document, element, joined, plain, stylesheet
+from takeapart.show.scene import PlanScene
+from takeapart.show.subject import load_subject
 from takeapart.viewer import Viewer
-from takeapart.viewer_page import page, save_page
-from takeapart.viewer_texts import part_text, sent
+from takeapart.viewer.texts import part_text, sent
 
 FRAME = '<iframe srcdoc="<svg onload=top.p=1>">'  # as short as error messages are cut
 IMAGE = "<img src=x onerror=top.p=1>"

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from takeapart.errors import InputError
-from takeapart.geometry import OrientedBox, pose
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import OrientedBox, pose
 from takeapart.removal.placement import overlap_depth, require_placement
 from takeapart.robot.loading import load_robot
 from takeapart.workcell import Obstacle, Workcell

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from small_assemblies import deadlock, floating, three_bars, two_bars
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.formats.serialization import assembly_hash, plan_document, workcell_hash
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.plan import Plan
 from takeapart.planning import (
     SEARCHES,
     Infeasible,
@@ -25,8 +26,9 @@ from takeapart.planning import (
     search,
 )
 from takeapart.removal.result import Effort, Removal
+from takeapart.search.exact import ExactOptions
+from takeapart.search.mcts import MctsOptions
 from takeapart.search.result import Budget
-from takeapart.serialization import assembly_hash, plan_document, workcell_hash
 from verification_scene import scene_workcell
 
 OPTIONS = PlanningOptions(budget=Budget(episodes=20))
@@ -34,7 +36,7 @@ OPTIONS = PlanningOptions(budget=Budget(episodes=20))
 
 @functools.cache
 def planned(name: str = "exact") -> Plan:
-    made = plan(three_bars(), scene_workcell(), replace(OPTIONS, search=name))  # type: ignore[arg-type]
+    made = plan(three_bars(), scene_workcell(), replace(OPTIONS, search=name))
     assert isinstance(made, Plan), made
     return made
 
@@ -97,14 +99,14 @@ def test_exact_search_is_as_short_as_the_best_of_all_orders() -> None:
 
 @pytest.mark.parametrize("name", ["exact", "mcts"])
 def test_the_same_seed_gives_the_same_plan(name: str) -> None:
-    again = plan(three_bars(), scene_workcell(), replace(OPTIONS, search=name))  # type: ignore[arg-type]
+    again = plan(three_bars(), scene_workcell(), replace(OPTIONS, search=name))
     assert isinstance(again, Plan)
     documents = [plan_document(replace(made, seconds=0.0)) for made in (planned(name), again)]
     assert documents[0] == documents[1]
 
 
 def test_threads_do_not_change_the_plan() -> None:
-    options = replace(OPTIONS, exact=replace(OPTIONS.exact, workers=2))
+    options = replace(OPTIONS, search_options=ExactOptions(workers=2))
     again = plan(three_bars(), scene_workcell(), options)
     assert isinstance(again, Plan)
     assert plan_document(replace(again, seconds=0.0)) == plan_document(replace(planned(), seconds=0.0))
@@ -112,7 +114,7 @@ def test_threads_do_not_change_the_plan() -> None:
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_no_feasible_order(name: str) -> None:
-    made = plan(deadlock(), scene_workcell(), replace(OPTIONS, search=name))  # type: ignore[arg-type]
+    made = plan(deadlock(), scene_workcell(), replace(OPTIONS, search=name))
     assert isinstance(made, Infeasible)
     assert made.proved
     assert made.remaining == ("beam", "stub")
@@ -172,7 +174,7 @@ def test_explain_names_what_hinders_each_part() -> None:
 
 def test_the_best_plan_so_far_survives_an_interrupt() -> None:
     problem = build_problem(two_bars(), scene_workcell(), OPTIONS)
-    options = replace(OPTIONS, search="mcts", mcts=replace(OPTIONS.mcts, memory="paper"))
+    options = replace(OPTIONS, search="mcts", search_options=MctsOptions(attempts=1, memory="paper"))
     planner_plan, calls = problem.planner.plan, itertools.count(1)
 
     def interrupted_plan(*args: object, **keywords: object) -> object:
@@ -188,8 +190,8 @@ def test_the_best_plan_so_far_survives_an_interrupt() -> None:
 
 
 def test_misuse_is_told() -> None:
-    with pytest.raises(UnknownNameError, match="unknown search 'best'; valid: beam, exact"):
-        PlanningOptions(search="best")  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="unknown search 'best'; valid: beam, best-first, exact"):
+        PlanningOptions(search="best")
     with pytest.raises(InputError, match="part 'stub' floats"):
         plan(floating(), scene_workcell())
 

@@ -14,13 +14,13 @@ from click.testing import CliRunner
 
 from guide_cases import blocks
 from small_assemblies import WORKCELL, three_bars
-from takeapart.assembly import members
-from takeapart.cli import main
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly, load_plan, save_assembly
+from takeapart.cli.commands import main
+from takeapart.formats.files import data_path, load_assembly, load_plan, save_assembly
 from takeapart.guide.experience import read_experience
 from takeapart.guide.policy import LearnedGuide, guide_path, load_guide
 from takeapart.guide.weights import load_weights, save_weights
+from takeapart.model.assembly import members
+from takeapart.model.errors import InputError
 from takeapart.planning import PlanningOptions, build_problem, run_identity, search
 from takeapart.search.result import Budget
 from test_weights import drawn_weights
@@ -63,7 +63,7 @@ def test_every_guided_search_asks_the_guide_and_plans(name: str) -> None:
         asked.extend(states)
         return [dict.fromkeys(members(state), -1.0) for state in states]
 
-    options = PlanningOptions(search=name, budget=Budget(episodes=5))  # type: ignore[arg-type]
+    options = PlanningOptions(search=name, budget=Budget(episodes=5))
     problem = build_problem(three_bars(), scene_workcell(), options)
     assert len(search(problem, options, guide).removals) == 3
     assert asked
@@ -137,10 +137,13 @@ def test_from_recording_to_a_guided_plan_on_the_command_line(folder: Path) -> No
     [
         (["--guide", "none.safetensors"], "none.safetensors: there is no such file"),
         (
-            ["--search", "greedy", "--guide", "none"],
-            "--guide goes with --search exact, mcts, beam only, not with greedy",
+            ["--search", "restarts", "--guide", "none"],
+            "--guide goes with --search exact, best-first, mcts, beam, greedy only, not with restarts",
         ),
-        (["--search", "beam", "--experience", "x"], "--experience goes with --search exact, mcts only, not with beam"),
+        (
+            ["--search", "beam", "--experience", "x"],
+            "--experience goes with --search exact, best-first, mcts only, not with beam",
+        ),
         (["--experience", "product.json"], "no folder for experience can be made there"),
     ],
 )
@@ -155,7 +158,7 @@ def test_misuse_is_told_in_one_line(folder: Path, arguments: list[str], message:
 def test_planning_imports_no_torch(folder: Path, guided: bool) -> None:
     save_weights(drawn_weights(), folder / "guide.safetensors")
     script = (
-        "import sys\nfrom takeapart.cli import main\n"
+        "import sys\nfrom takeapart.cli.commands import main\n"
         "try:\n    main(sys.argv[1:])\nfinally:\n"
         "    print(sorted({'torch', 'polars', 'safetensors'} & set(sys.modules)), file=sys.stderr)\n"
     )

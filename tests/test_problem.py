@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from conftest import Edge, random_states
-from takeapart.assembly import Assembly, Part, members
-from takeapart.geometry import Box, pose
+from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.geometry import Box, pose
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalPlanner
@@ -188,7 +188,7 @@ def test_static_bounds_are_the_straight_lines_of_grasp_candidates(problem: Assem
         offsets = np.arange(-reach, reach + 1e-6, 0.02)
         centers = [(body.T_world_part @ np.append(np.eye(3)[axis] * offset, 1))[:3] for offset in offsets]
         expected = min(0.05 + math.dist(center + [0, 0, 0.05], cell.goal) for center in centers)
-        assert problem.static_lower(part) == pytest.approx(expected, abs=1e-9)
+        assert problem.edge_bounds.static(part) == pytest.approx(expected, abs=1e-9)
 
 
 def many_blocks(count: int) -> Assembly:

@@ -1,4 +1,4 @@
-"""profiles.py: the paper's procedure, checked on geometry that is measured again from the finished assemblies."""
+"""The paper's procedure to generate assemblies, checked on geometry that is measured again from finished ones."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from takeapart.assembly import Assembly
-from takeapart.errors import InputError
-from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate, generate_candidate
+from takeapart.generate.profiles import ProfileOptions, Rejected, candidate_rng, generate, generate_candidate
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 
 SINGLE = ProfileOptions()
 DOUBLE = ProfileOptions(layers=2, back=3, front=3)

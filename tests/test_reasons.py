@@ -12,11 +12,11 @@ from scipy.optimize import minimize
 from ssik.prebuilt import franka_panda_ik
 
 from small_assemblies import three_bars
-from takeapart.assembly import Assembly, Connector, Part, members
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly
-from takeapart.geometry import Array, Box, OrientedBox, pose
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly
+from takeapart.model.assembly import Assembly, Connector, Part, members
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.plan import Plan
 from takeapart.planning import Hindrance, Infeasible, PlanningOptions, build_problem, explain, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.goals import ORIENTATIONS, super_fibonacci

@@ -11,7 +11,7 @@ import pytest
 
 from order_search_cases import MaskedProblem, check_sequence
 from synthetic import SyntheticProblem, members, random_problem, synthetic_removal
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import ClosedEdge, EdgeBounds
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.exact import ExactOptions, exact

@@ -22,8 +22,8 @@ import example_documents
 import fuzz_readers
 import fuzzed_readers
 from fuzzed_readers import Reader
-from takeapart.errors import InputError, TakeapartError
-from takeapart.files import load_assembly, load_plan, load_workcell
+from takeapart.formats.files import load_assembly, load_plan, load_workcell
+from takeapart.model.errors import InputError, TakeapartError
 
 Path_ = tuple[str | int, ...]
 READERS: dict[str, Callable[[Path], object]] = {"json": load_assembly, "plan": load_plan, "toml": load_workcell}

@@ -13,10 +13,10 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from conftest import Edge, random_box, random_rotation, random_states, scene_of
-from takeapart.assembly import Assembly, Part, members
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly
-from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse
+from takeapart.formats.files import data_path, load_assembly
+from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, Box, OrientedBox, pose, pose_inverse
 from takeapart.motion.edges import Scene, resampled
 from takeapart.removal.goals import super_fibonacci
 from takeapart.removal.grasps import grasp_candidates, grasp_positions, straight_line_bounds
@@ -27,7 +27,7 @@ from takeapart.removal.result import Blocked, Removal
 from takeapart.removal.situation import Situation
 from takeapart.robot.kernels import FREE, check
 from takeapart.robot.model import RobotModel
-from takeapart.verification_model import Scene as MujocoScene
+from takeapart.verification.model import Scene as MujocoScene
 from takeapart.workcell import Workcell
 
 # ---- grasps

@@ -17,17 +17,17 @@ from PIL import Image as PillowImage
 
 from shown_plans import corrupted, small_scene, small_workcell, write_files
 from small_assemblies import three_bars
-from takeapart.cli import main
-from takeapart.errors import InputError
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.render import NoGraphicsError, Renderer, RenderOptions, animation
-from takeapart.render_facts import blocked_by, hindrances, part_facts, why_not_earlier
-from takeapart.render_output import contact_sheet, save_animation
-from takeapart.render_robot import load_robot_visual
-from takeapart.render_scene import CURRENT, PlanScene, colors_of, rgb, role_of
-from takeapart.render_subject import load_subject
-from takeapart.render_view import ARM_CELL, BETTER, SEEN, View, seen_shares, view_of
+from takeapart.cli.commands import main
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.errors import InputError
+from takeapart.pictures.output import contact_sheet, save_animation
+from takeapart.pictures.renderer import NoGraphicsError, Renderer, RenderOptions, animation
 from takeapart.robot.model import RobotModel
+from takeapart.show.facts import blocked_by, hindrances, part_facts, why_not_earlier
+from takeapart.show.robot import load_robot_visual
+from takeapart.show.scene import CURRENT, PlanScene, colors_of, rgb, role_of
+from takeapart.show.subject import load_subject
+from takeapart.show.view import ARM_CELL, BETTER, SEEN, View, seen_shares, view_of
 
 
 @pytest.fixture(scope="session")
@@ -314,7 +314,7 @@ def test_misuse_is_told_in_one_line(
 
 def test_without_graphics_the_way_out_is_told() -> None:
     code = (
-        "from takeapart.cli import main; import sys; sys.argv = ['takeapart', 'render', "
+        "from takeapart.cli.commands import main; import sys; sys.argv = ['takeapart', 'render', "
         f"{str(data_path('single/01.json'))!r}, '--out', '/tmp/never.png']; main()"
     )
     environment = {"PATH": "", "MUJOCO_GL": "disabled", "PYTHONPATH": ":".join(sys.path)}
@@ -327,7 +327,8 @@ def test_without_graphics_the_way_out_is_told() -> None:
 def test_pictures_are_drawn_after_a_verification_in_the_same_process() -> None:
     code = (
         "import takeapart.verification\n"
-        "from takeapart.files import *\nfrom takeapart.render import *\nfrom takeapart.render_scene import PlanScene\n"
+        "from takeapart.formats.files import *\nfrom takeapart.pictures.renderer import *\n"
+        "from takeapart.show.scene import PlanScene\n"
         "scene = PlanScene(load_assembly(data_path('single/01.json')), load_workcell('panda'))\n"
         "with Renderer(scene, RenderOptions(64, 48)) as renderer:\n    print(renderer.picture().std() > 5)"
     )

@@ -14,17 +14,17 @@ from click.testing import CliRunner
 
 from shown_plans import small_plan, small_scene, small_workcell, write_files
 from small_assemblies import three_bars
-from takeapart.cli import main
-from takeapart.files import save_assembly, save_plan
-from takeapart.plan import Plan
+from takeapart.cli.commands import main
+from takeapart.formats.files import save_assembly, save_plan
+from takeapart.formats.serialization import motion_hash
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
-from takeapart.render_facts import part_facts
-from takeapart.render_markup import element
 from takeapart.report import page, report
-from takeapart.report_charts import Bar, bars, graph, progress, progress_note
+from takeapart.report.charts import Bar, bars, graph, progress, progress_note
 from takeapart.search.result import History, Progress
-from takeapart.serialization import motion_hash
-from takeapart.verification_report import Agreement, Clearance, VerificationReport, report_as_dict
+from takeapart.show.facts import part_facts
+from takeapart.show.markup import element
+from takeapart.verification.report import Agreement, Clearance, VerificationReport, report_as_dict
 
 
 @pytest.fixture(scope="session")

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from small_assemblies import WORKCELL, three_bars, two_bars
-from takeapart.assembly import Assembly
-from takeapart.errors import InputError
 from takeapart.experiments.paper import reproduce
 from takeapart.experiments.paper_jobs import PHASES, load_products, paper_jobs
 from takeapart.experiments.paper_settings import DOUBLE, ONE_PATH, SINGLE, PaperSettings, full_settings, quick_settings
 from takeapart.experiments.paper_tasks import ReplanningTask, SearchTask, TrainingTask
 from takeapart.experiments.workers import LocalWorkers
-from takeapart.files import data_path, load_workcell, save_assembly
+from takeapart.formats.files import data_path, load_workcell, save_assembly
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 from takeapart.search.mcts import MctsOptions
 
 

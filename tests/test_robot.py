@@ -13,14 +13,15 @@ from scipy.spatial.transform import Rotation
 from ssik.prebuilt import franka_panda_ik
 
 from conftest import random_box, random_configurations, world_of
-from takeapart.errors import InputError
-from takeapart.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.robot.cover import small_triangles, sphere_cover
 from takeapart.robot.hand import collect_hand, hand_hits_load
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kinematics import forward
 from takeapart.robot.model import RobotModel, moved_load
-from takeapart.verification_model import place_body, robot_specification
+from takeapart.verification.model import place_body
+from takeapart.verification.robot import robot_specification
 from takeapart.workcell import Workcell
 
 LINKS = [*(f"panda_link{i}" for i in range(8)), "panda_hand"]

@@ -11,10 +11,10 @@ import pytest
 
 from conftest import random_rotation
 from small_assemblies import three_bars
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import Array, Box, OrientedBox, pose
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.removal.grasps import grasp_candidates, shortest_first, straight_line_bounds, tied
 from takeapart.search.result import Budget

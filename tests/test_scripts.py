@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from takeapart.documents import readable_json, write_atomically
 from takeapart.experiments import growth
+from takeapart.formats.documents import readable_json, write_atomically
 
 ROOT = Path(__file__).parents[1]
 EXPERIMENTS = ROOT / "src" / "takeapart" / "experiments"

@@ -8,7 +8,7 @@ import trimesh
 
 from brute_force import frames, gap_between_bodies, gap_to_box, hull_distance
 from conftest import random_configurations, random_rotation
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.robot.kinematics import place
 from takeapart.robot.model import RobotModel
 from takeapart.robot.separation import ACCURACY, bodies_meet, body_meets_box, separation

@@ -9,11 +9,19 @@ from pathlib import Path
 import pytest
 
 from small_assemblies import WORKCELL, three_bars, two_bars
-from takeapart.errors import InputError
-from takeapart.files import assembly_hash, data_path, load_assembly, load_plan, load_workcell, save_assembly, save_plan
-from takeapart.plan import Plan
-from takeapart.serialization import workcell_hash
-from takeapart.sources import source_assembly, source_workcell, with_sources, with_sources_moved
+from takeapart.formats.files import (
+    assembly_hash,
+    data_path,
+    load_assembly,
+    load_plan,
+    load_workcell,
+    save_assembly,
+    save_plan,
+)
+from takeapart.formats.serialization import workcell_hash
+from takeapart.formats.sources import source_assembly, source_workcell, with_sources, with_sources_moved
+from takeapart.model.errors import InputError
+from takeapart.model.plan import Plan
 from verification_scene import scene_plan
 
 

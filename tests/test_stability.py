@@ -1,4 +1,4 @@
-"""stability.py against a brute-force rule read off the bars themselves, and against small built cases."""
+"""Stability against a brute-force rule read off the bars themselves, and against small built cases."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from takeapart.assembly import Assembly, Connector, Part, members
-from takeapart.errors import InputError
-from takeapart.geometry import Box, OrientedBox, pose, pose_inverse
-from takeapart.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
+from takeapart.generate.profiles import ProfileOptions, Rejected, candidate_rng, generate_candidate
+from takeapart.model.assembly import Assembly, Connector, Part, members
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Box, OrientedBox, pose, pose_inverse
 from takeapart.stability import ConnectorStability, Stability, require_support, unsupported
 
 OPTIONS = {"single": ProfileOptions(), "double": ProfileOptions(layers=2, back=3, front=3)}

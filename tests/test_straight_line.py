@@ -13,14 +13,14 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from conftest import random_box, random_rotation
-from takeapart.assembly import Assembly, Part
-from takeapart.bound_texts import SEQUENCE, STRAIGHT_LINE
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import Array, OrientedBox, pose
-from takeapart.plan import Plan
+from takeapart.formats.bound_texts import SEQUENCE, STRAIGHT_LINE
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly, Part
+from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.model.plan import Plan
 from takeapart.removal.grasps import grasp_candidates, straight_line_bounds, volume_bound
-from takeapart.verification_checks import straight_line_bound
-from takeapart.verification_report import NOT_CHECKED
+from takeapart.verification.checks import straight_line_bound
+from takeapart.verification.report import NOT_CHECKED
 from takeapart.workcell import Workcell
 from verification_scene import scene_workcell
 

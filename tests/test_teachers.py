@@ -20,7 +20,7 @@ from takeapart.experiments.teachers import (
     solve,
     teachers_markdown,
 )
-from takeapart.files import load_workcell
+from takeapart.formats.files import load_workcell
 from takeapart.guide.experience import read_experience, together
 from takeapart.robot.loading import load_robot
 

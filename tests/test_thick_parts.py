@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from support_scenes import box
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.files import load_workcell
-from takeapart.geometry import Box, pose
-from takeapart.plan import Plan
+from takeapart.formats.files import load_workcell
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Box, pose
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.search.result import Budget
 from takeapart.verification import verify_plan

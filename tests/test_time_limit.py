@@ -17,8 +17,9 @@ import pytest
 from order_search_cases import MaskedProblem, check_sequence
 from small_assemblies import three_bars
 from synthetic import members, random_problem
-from takeapart.plan import Plan
-from takeapart.planning import PlanningOptions, SearchName, plan_of, search
+from takeapart.formats.serialization import plan_document
+from takeapart.model.plan import Plan
+from takeapart.planning import PlanningOptions, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
@@ -29,8 +30,8 @@ from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.mcts import MctsOptions, mcts
-from takeapart.search.result import Budget, Clock, SearchResult
-from takeapart.serialization import plan_document
+from takeapart.search.result import Budget, SearchResult
+from takeapart.search.session import Clock
 from takeapart.stability import ConnectorStability
 from verification_scene import scene_workcell
 
@@ -137,7 +138,7 @@ def test_a_refusal_that_is_cut_is_none() -> None:
 
 @pytest.mark.parametrize("name", ["exact", "mcts", "beam", "greedy", "random"])
 def test_a_run_that_was_cut_goes_on_to_the_same_plan(
-    bars: RemovalPlanner, name: SearchName, monkeypatch: pytest.MonkeyPatch
+    bars: RemovalPlanner, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = PlanningOptions(search=name, budget=Budget(episodes=3))
 
@@ -168,7 +169,7 @@ def test_a_run_that_was_cut_goes_on_to_the_same_plan(
         if result.removals:
             check_valid(problem, result)
         else:
-            assert not result.statistics.get("infeasible"), "time that is over proves nothing"
+            assert not result.infeasible, "time that is over proves nothing"
         if result.sequence_bound is not None and whole.sequence_bound is not None and name == "exact":
             assert result.sequence_bound <= whole.length + 1e-9
         assert document(*planned(journal)) == expected
@@ -188,7 +189,7 @@ class SlowProblem(MaskedProblem):
 def learned(problem: SlowProblem) -> EdgeBounds:
     """The bounds that a search books in, if it has not been given any."""
     bounds = EdgeBounds([problem.static_lower(part) for part in members(problem.root)])
-    problem.edge_bounds = bounds  # type: ignore[attr-defined]
+    problem.given_bounds = bounds
     return bounds
 
 
@@ -230,7 +231,7 @@ def test_whenever_the_time_is_over_all_that_is_said_is_true(
                     if refusal.stage == "path":
                         assert math.isinf(problem.true_cost(state, refusal.part)), "the clock is no reason"
         assert feasible or not result.removals
-        if result.statistics.get("infeasible"):
+        if result.infeasible:
             assert not feasible
         if result.sequence_bound is not None:
             assert result.sequence_bound <= optimum + 1e-9
@@ -247,7 +248,7 @@ def test_whenever_the_time_is_over_all_that_is_said_is_true(
 def test_the_time_that_enumeration_takes_is_the_searchs_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there are too many states, best-first search goes on with the clock that has been running."""
     now = [0.0]
-    monkeypatch.setattr("takeapart.search.result.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("takeapart.search.session.time.monotonic", lambda: now[0])
 
     def slow_enumeration(*_: object) -> TooLarge:
         now[0] += 10.0
@@ -278,7 +279,7 @@ def test_the_final_sweep_ends_with_the_seconds(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_part_of_the_seconds_is_kept_for_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr("takeapart.search.result.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("takeapart.search.session.time.monotonic", lambda: now[0])
     clock = Clock(Budget(seconds=10.0), Counts())
     clock.reserve = 1.0
     for seconds, late, over in ((8.9, False, False), (9.1, True, False), (10.1, True, True)):
@@ -304,4 +305,4 @@ def test_where_gravity_allows_no_order_nothing_is_asked() -> None:
     problem.gravity[0] |= 1 << 1
     problem.gravity[1] |= 1 << 0
     result = exact(problem, ExactOptions(), Budget())
-    assert result.statistics["infeasible"] and result.refusals and not problem.asked
+    assert result.infeasible and result.refusals and not problem.asked

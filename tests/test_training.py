@@ -18,8 +18,6 @@ import torch
 import takeapart
 from guide_cases import blocks, record_everything, true_value
 from synthetic import SyntheticProblem, problem_with_dead_ends, random_problem
-from takeapart.assembly import members
-from takeapart.errors import InputError, UnknownNameError
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.dataset import GOAL, StateTable, state_table
 from takeapart.guide.experience import Experience, ExperienceWriter, read_experience
@@ -27,6 +25,8 @@ from takeapart.guide.network import QNetwork
 from takeapart.guide.policy import load_guide
 from takeapart.guide.teachers import DoubleQTeacher, evaluate, interval_targets
 from takeapart.guide.training import TrainingOptions, TrainingProgress, checkpoint_path, log_path, train
+from takeapart.model.assembly import members
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget
 

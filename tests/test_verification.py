@@ -16,13 +16,13 @@ from ssik.prebuilt import franka_panda_ik
 from box_oracle import box_distance
 from mutation_table import ASSEMBLIES, judged, scene_target, shipped_target
 from plan_mutations import MUTATIONS, Corrupted
-from takeapart.assembly import Assembly, Connector, members
 from takeapart.experiments import verify_all
-from takeapart.files import load_assembly, load_plan, load_workcell
-from takeapart.geometry import Array, OrientedBox, box_separation, pose, quaternion_from_rotation
-from takeapart.plan import Plan, PlanStep
+from takeapart.formats.files import load_assembly, load_plan, load_workcell
+from takeapart.generate.profiles import ProfileOptions, candidate_rng, generate_candidate
+from takeapart.model.assembly import Assembly, Connector, members
+from takeapart.model.geometry import Array, OrientedBox, box_separation, pose, quaternion_from_rotation
+from takeapart.model.plan import Plan, PlanStep
 from takeapart.planning import SEARCHES
-from takeapart.profiles import ProfileOptions, candidate_rng, generate_candidate
 from takeapart.stability import ConnectorStability
 from takeapart.verification import (
     Finding,
@@ -35,9 +35,10 @@ from takeapart.verification import (
     states_of,
     verify_plan,
 )
-from takeapart.verification_checks import carriers, straight_line_bound, unsupported
-from takeapart.verification_model import Scene, mujoco
-from takeapart.verification_replay import Replay
+from takeapart.verification.checks import carriers, straight_line_bound, unsupported
+from takeapart.verification.model import Scene
+from takeapart.verification.replay import Replay
+from takeapart.verification.robot import mujoco
 from takeapart.workcell import Obstacle, Workcell
 from verification_scene import (
     DOWNWARDS,
@@ -139,9 +140,10 @@ def test_no_point_of_a_link_enters_a_box_unseen() -> None:
     obstacles = tuple(Obstacle(str(i), box) for i, box in enumerate(boxes))
     scene = Scene(scene_assembly(), replace(scene_workcell(), environment=obstacles), sight=0.003)
     description = scene_workcell().description
-    folder = "robots/panda_description/meshes/collision/"
-    meshes = {f"panda_link{i}": stl_points(description.path(f"{folder}link{i}.stl")) for i in range(1, 8)}
-    meshes["panda_hand"] = stl_points(description.path(f"{folder}hand.stl"))
+    folder = "package://example-robot-data/robots/panda_description/meshes/collision/"
+    resolve = description.arm.files.resolve
+    meshes = {f"panda_link{i}": stl_points(resolve(f"{folder}link{i}.stl")) for i in range(1, 8)}
+    meshes["panda_hand"] = stl_points(resolve(f"{folder}hand.stl"))
     centres = np.array([box.T_frame_box[:3, 3] for box in boxes])
     reach = np.array([np.linalg.norm(box.half_extents) for box in boxes])
     hits = 0

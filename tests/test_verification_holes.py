@@ -11,13 +11,13 @@ import pytest
 
 from mutation_table import scene_target
 from plan_mutations import MUTATIONS, with_wrist_turned
-from takeapart import verification_physics
-from takeapart.assembly import Assembly
-from takeapart.geometry import Array
-from takeapart.plan import Grasp, PlanStep
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array
+from takeapart.model.plan import Grasp, PlanStep
 from takeapart.verification import Verifier, stand_under_gravity, verify_plan
-from takeapart.verification_checks import NOTHING_BELOW, check_schema, unsupported
-from takeapart.verification_model import mujoco
+from takeapart.verification import physics as physics_of_states
+from takeapart.verification.checks import NOTHING_BELOW, check_schema, unsupported
+from takeapart.verification.robot import mujoco
 from verification_scene import scene_assembly, scene_plan, scene_workcell, tool_rows
 
 
@@ -64,14 +64,14 @@ def _rest_of(step: PlanStep) -> tuple[Grasp, Array, Array, float]:
 def test_a_simulation_that_breaks_down_is_no_proof(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """MuJoCo sets a state back to the start where numbers overflow: nothing has moved then, and nothing is shown."""
     monkeypatch.chdir(tmp_path)
-    made = verification_physics.gravity_model
+    made = physics_of_states.gravity_model
 
     def heavy(assembly: Assembly, state: int) -> mujoco.MjModel:
         model = made(assembly, state)
         model.opt.gravity[:] = [0.0, 0.0, -1e13]
         return model
 
-    monkeypatch.setattr(verification_physics, "gravity_model", heavy)
+    monkeypatch.setattr(physics_of_states, "gravity_model", heavy)
     report = stand_under_gravity(scene_assembly(), scene_assembly().root)
     assert report.largest_shift == 0.0
     assert [finding.message for finding in report.findings] == ["the simulation broke down: BADQACC"]

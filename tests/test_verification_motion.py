@@ -12,11 +12,11 @@ from scipy.spatial import ConvexHull
 from ssik.prebuilt import franka_panda_ik
 
 from mesh_oracle import MeshOracle
-from takeapart.assembly import Connector
-from takeapart.geometry import Array, OrientedBox, pose
-from takeapart.plan import PlanStep
+from takeapart.model.assembly import Connector
+from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.model.plan import PlanStep
 from takeapart.verification import Finding, VerificationOptions
-from takeapart.verification_replay import Replay, check_joint_limits
+from takeapart.verification.replay import Replay, check_joint_limits
 from takeapart.workcell import Obstacle
 from verification_scene import (
     DOWNWARDS,

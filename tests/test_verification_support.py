@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 import support_scenes as scenes
-from takeapart.assembly import Assembly
-from takeapart.files import data_path, load_assembly
+from takeapart.formats.files import data_path, load_assembly
+from takeapart.model.assembly import Assembly
 from takeapart.verification import verify_plan
-from takeapart.verification_support import Support, check_support
+from takeapart.verification.support import Support, check_support
 from verification_scene import scene_assembly, scene_plan, scene_workcell
 
 

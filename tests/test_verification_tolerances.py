@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from takeapart.assembly import Part
-from takeapart.geometry import Array, Box, pose, quaternion_from_rotation
-from takeapart.plan import Grasp, Plan, PlanStep
+from takeapart.model.assembly import Part
+from takeapart.model.geometry import Array, Box, pose, quaternion_from_rotation
+from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.verification import Finding, VerificationOptions
-from takeapart.verification_checks import (
+from takeapart.verification.checks import (
     check_bound,
     check_grasp,
     check_length,
@@ -21,7 +21,7 @@ from takeapart.verification_checks import (
     check_total,
     straight_line_bound,
 )
-from takeapart.verification_replay import (
+from takeapart.verification.replay import (
     Samples,
     check_goal,
     check_jumps,

@@ -11,10 +11,10 @@ import safetensors
 import safetensors.numpy
 
 from guide_cases import blocks
-from takeapart.errors import InputError
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.policy import load_guide
 from takeapart.guide.weights import Weights, load_weights, save_weights
+from takeapart.model.errors import InputError
 
 ARCHITECTURE = Architecture(2, 6)
 

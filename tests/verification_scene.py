@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from ssik.prebuilt import franka_panda_ik
 
-from takeapart.assembly import Assembly, Connector, Part
-from takeapart.geometry import Array, Box, OrientedBox, pose, pose_inverse, quaternion_from_rotation
-from takeapart.plan import Grasp, Plan, PlanStep
-from takeapart.robot_files import load_robot_description
-from takeapart.serialization import assembly_hash, workcell_hash
+from takeapart.formats.robot_files import load_robot_description
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.geometry import Array, Box, OrientedBox, pose, pose_inverse, quaternion_from_rotation
+from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.workcell import Obstacle, Workcell
 
 SPACING = 0.004  # m between rows

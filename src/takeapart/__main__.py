@@ -1,5 +1,5 @@
 """``python -m takeapart`` is the same as ``takeapart``."""
 
-from takeapart.cli import main
+from takeapart.cli.commands import main
 
 main()

@@ -18,7 +18,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 
 VARIABLE = "TAKEAPART_CACHE"
 

@@ -20,7 +20,7 @@ import numba
 from numba.core import types
 
 from takeapart.caching import cache_folder, planted
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")

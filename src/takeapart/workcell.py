@@ -1,4 +1,4 @@
-"""The workcell: arm, gripper, drop-off point and obstacles; data only, read from TOML by `takeapart.files`.
+"""The workcell: arm, gripper, drop-off point and obstacles; data only, read from TOML by `takeapart.formats.files`.
 
 The world frame is the assembly's frame: a workcell says where its arm stands relative to the assembly.
 """
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.description import RobotDescription as RobotDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array, OrientedBox
+from takeapart.model.description import RobotDescription as RobotDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, OrientedBox
 
 GRAVITY = 9.81  # m/s^2
 GRIPPER_LIMITS = (("payload", " kg", 1e4), ("gripping_force", " N", 1e6), ("friction", "", 10.0))  # name, unit, most

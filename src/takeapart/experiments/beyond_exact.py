@@ -11,19 +11,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.assembly import Assembly
-from takeapart.documents import write_atomically
-from takeapart.errors import InputError
 from takeapart.experiments.beyond_report import GUIDED, BeyondRun, beyond_markdown, draw, runs_csv
-from takeapart.experiments.beyond_tasks import RUNNERS, BeyondTask
+from takeapart.experiments.beyond_tasks import SEARCHED, BeyondTask
 from takeapart.experiments.jobs import Job
 from takeapart.experiments.paper_figures import figure_modules
 from takeapart.experiments.schedule import Kept, ScheduleListener, run_schedule
 from takeapart.experiments.tables import replace_between_markers
 from takeapart.experiments.workers import Workers
-from takeapart.files import load_assembly, load_workcell
+from takeapart.formats.documents import write_atomically
+from takeapart.formats.files import load_assembly, load_workcell
+from takeapart.formats.messages import reason, shown
 from takeapart.guide.policy import guide_path
-from takeapart.messages import reason, shown
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 
 MARKER = "results-beyond"
 
@@ -75,7 +75,7 @@ def beyond_jobs(settings: BeyondSettings, assemblies: Sequence[Assembly]) -> lis
             BeyondTask(assembly, workcell, settings.seed, search, settings.queries, weights if guided else None),
         )
         for number, assembly in enumerate(assemblies, 1)
-        for search in RUNNERS
+        for search in SEARCHED
         for guided in GUIDED
     ]
 
@@ -84,7 +84,7 @@ def beyond_runs(assemblies: Sequence[Assembly], results: Mapping[str, Kept]) -> 
     """Results of all jobs."""
     runs = []
     for number, assembly in enumerate(assemblies, 1):
-        for search in RUNNERS:
+        for search in SEARCHED:
             for guided in GUIDED:
                 outcome = results[job_name(number, search, guided)].outcome
                 trace = tuple((int(asked), float(length)) for asked, _, length in outcome["trace"])

@@ -5,35 +5,39 @@ from __future__ import annotations
 import hashlib
 import math
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.errors import UnknownNameError
 from takeapart.experiments.jobs import Outcome
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import UnknownNameError
 from takeapart.planning import PlanningOptions, build_problem, of_candidates
 from takeapart.problem import AssemblyProblem, Guide
-from takeapart.search.baselines import BeamOptions, OrderOptions, beam, greedy
-from takeapart.search.best_first import BestFirstOptions, best_first
-from takeapart.search.mcts import MctsOptions, mcts
+from takeapart.search.baselines import BeamOptions, beam
+from takeapart.search.registry import SEARCHES, searches_that_take
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
-from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.workcell import Workcell
 
 WIDEST_BEAM = 64
+PATIENCE = 5  # episodes of tree search without a query or a gain, after which it has nothing left to do
 
-Runner = Callable[[AssemblyProblem, int, int, Guide | None, ProgressListener], SearchResult]
-"""Runs a search: problem, removal queries, seed, guide, listener."""
+SEARCHED = tuple(name for name in reversed(searches_that_take("guide")) if name != "exact")
+"""Searches that take a guide and do not list all states."""
 
 
-def _greedy(
-    problem: AssemblyProblem, queries: int, seed: int, guide: Guide | None, listen: ProgressListener
+def _search(
+    name: str, problem: AssemblyProblem, queries: int, seed: int, guide: Guide | None, listen: ProgressListener
 ) -> SearchResult:
-    rng = np.random.default_rng([seed, 1])
-    return greedy(problem, OrderOptions(monotone=True), Budget(queries=queries), rng, listen, guide)
+    """Runs one of `SEARCHED`."""
+    if name == "beam":
+        return _beams(problem, queries, seed, guide, listen)
+    entry = SEARCHES[name]
+    options = replace(entry.options(), patience=PATIENCE) if entry.anytime else entry.options()
+    return entry.run(problem, options, Budget(queries=queries), np.random.default_rng([seed, 1]), listen, guide)
 
 
 def _beams(
@@ -52,22 +56,6 @@ def _beams(
     return best
 
 
-def _best_first(
-    problem: AssemblyProblem, queries: int, seed: int, guide: Guide | None, listen: ProgressListener
-) -> SearchResult:
-    return best_first(problem, BestFirstOptions(), Budget(queries=queries), listen, guide)
-
-
-def _mcts(
-    problem: AssemblyProblem, queries: int, seed: int, guide: Guide | None, listen: ProgressListener
-) -> SearchResult:
-    budget, rng = Budget(queries=queries), np.random.default_rng([seed, 1])
-    return mcts(problem, MctsOptions(attempts=1, patience=5), budget, rng, guide, listen)
-
-
-RUNNERS: Mapping[str, Runner] = {"greedy": _greedy, "beam": _beams, "best-first": _best_first, "mcts": _mcts}
-
-
 @dataclass(frozen=True, eq=False)
 class BeyondTask:
     """One search on one assembly.
@@ -75,7 +63,7 @@ class BeyondTask:
     Args:
         assembly, workcell: what is planned.
         seed: of all random choices.
-        search: one of `RUNNERS`.
+        search: one of `SEARCHED`.
         queries: budget.
         weights: content of the guide's file; None for a search without a guide.
 
@@ -91,8 +79,8 @@ class BeyondTask:
     weights: bytes | None = None
 
     def __post_init__(self) -> None:
-        if self.search not in RUNNERS:
-            raise UnknownNameError("search", self.search, list(RUNNERS))
+        if self.search not in SEARCHED:
+            raise UnknownNameError("search", self.search, list(SEARCHED))
 
     @property
     def cost(self) -> float:
@@ -121,7 +109,7 @@ class BeyondTask:
             if math.isfinite(progress.length) and (not trace or progress.length < trace[-1][2]):
                 trace.append([counts.removal_queries, counts.motion_plans, progress.length])
 
-        result = RUNNERS[self.search](problem, self.queries, self.seed, guide, listen)
+        result = _search(self.search, problem, self.queries, self.seed, guide, listen)
         return {
             "parts": self.assembly.root.bit_count(),
             "trace": trace,

@@ -14,8 +14,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan
 from takeapart.verification import verify_plan
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from takeapart.experiments.speed import new_problem
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
 from takeapart.search.exact import ExactOptions, exact

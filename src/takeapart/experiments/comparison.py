@@ -11,34 +11,26 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.documents import readable_json, write_atomically
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.experiments.compared import COMPARED, PAPER
 from takeapart.experiments.tables import markdown_table
-from takeapart.geometry import Array
+from takeapart.formats.documents import readable_json, write_atomically
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.geometry import Array
 from takeapart.planning import versions
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Counts
-from takeapart.search.baselines import (
-    BeamOptions,
-    OrderOptions,
-    RestartOptions,
-    beam,
-    greedy,
-    random_restarts,
-)
-from takeapart.search.best_first import BestFirstOptions, best_first
-from takeapart.search.exact import ExactOptions, exact
-from takeapart.search.mcts import MctsOptions, mcts
+from takeapart.search.baselines import BeamOptions, beam
 from takeapart.search.refinement import RefinementOptions
+from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
-from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell
 
@@ -46,7 +38,6 @@ PATIENCE = 2000  # episodes without a query or a gain, after which a search has 
 MAXIMUM_WIDTH = 2**16
 LEAST_RANGE = 0.01  # of the ratios that the plot shows: differences far below one percent look like none
 ALL_QUERIES = RefinementOptions(passes=10**6, worth=0.0)  # refines until the budget is spent
-SEARCHES = ("restarts", "greedy", "beam", "mcts", "mcts, paper", "best-first", "exact")
 
 
 @dataclass(frozen=True)
@@ -56,17 +47,17 @@ class Comparison:
     Args:
         queries: removal queries that every run may ask.
         seeds: every search runs with seeds 0 .. seeds - 1 on every assembly.
-        searches: names out of `SEARCHES`.
+        searches: names out of `COMPARED`.
     """
 
     queries: int
     seeds: int = 1
-    searches: tuple[str, ...] = SEARCHES
+    searches: tuple[str, ...] = COMPARED
 
     def __post_init__(self) -> None:
         for name in self.searches:
-            if name not in SEARCHES:
-                raise UnknownNameError("search", name, list(SEARCHES))
+            if name not in COMPARED:
+                raise UnknownNameError("search", name, list(COMPARED))
 
 
 @dataclass(frozen=True)
@@ -98,24 +89,19 @@ class Outcome:
 def search_by_name(
     name: str, problem: AssemblyProblem, queries: int, seed: int, listen: ProgressListener
 ) -> SearchResult:
-    """Runs one of `SEARCHES` until the queries are spent or it has nothing left to ask."""
+    """Runs one of `COMPARED` until the queries are spent or it has nothing left to ask."""
     budget, rng = Budget(queries=queries), np.random.default_rng([seed, 1])
-    order = OrderOptions(monotone=True)
-    if name == "restarts":
-        return random_restarts(problem, RestartOptions(order, PATIENCE), budget, rng, listen)
-    if name == "greedy":
-        return greedy(problem, order, budget, rng, listen)
     if name == "beam":
         return _widening_beam(problem, budget, rng, listen)
-    if name == "best-first":
-        return best_first(problem, BestFirstOptions(), budget, listen)
+    entry = SEARCHES["mcts" if name == PAPER else name]
+    options = entry.options()
+    if entry.anytime:
+        options = replace(options, patience=PATIENCE)
+    if name == PAPER:
+        options = replace(options, memory="paper")
     if name == "exact":
-        return exact(problem, ExactOptions(refinement=ALL_QUERIES), budget, listen)
-    memory: dict[str, MctsOptions] = {
-        "mcts": MctsOptions(attempts=1, patience=PATIENCE),
-        "mcts, paper": MctsOptions(attempts=1, patience=PATIENCE, memory="paper"),
-    }
-    return mcts(problem, memory[name], budget, rng, None, listen)
+        options = replace(options, refinement=ALL_QUERIES)
+    return entry.run(problem, options, budget, rng, listen)
 
 
 def _widening_beam(

@@ -1,8 +1,8 @@
 """How planning grows with the number of parts: from 21 to more than 100, by one command.
 
-Assemblies of one and of two layers, and up to four of these around the robot (`takeapart.cells`), each planned by exact
-search within a budget of seconds; where there are too many states to enumerate, that is best-first search. A case that
-was finished is not run again: results are kept, one JSON file each, and the table is made of what is there.
+Assemblies of one and of two layers, and up to four of these around the robot (`takeapart.generate.cells`), each planned
+by exact search within a budget of seconds; where there are too many states to enumerate, that is best-first search. A
+case that was finished is not run again: results are kept, one JSON file each, and the table is made of what is there.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from takeapart.assembly import Assembly
-from takeapart.cells import cells_around
-from takeapart.documents import readable_json, write_atomically
-from takeapart.errors import InputError
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.documents import readable_json, write_atomically
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.generate.cells import cells_around
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 from takeapart.planning import PlanningOptions, build_problem, search
 from takeapart.search.result import Budget, Progress
 from takeapart.workcell import Workcell

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import members
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.policy import LearnedGuide, guide_path
 from takeapart.guide.weights import Weights, load_weights
+from takeapart.model.assembly import members
 from takeapart.planning import PlanningOptions, build_problem, search
 from takeapart.search.result import Budget
 

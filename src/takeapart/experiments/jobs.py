@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import takeapart
-from takeapart.documents import canonical_json
-from takeapart.errors import InputError
+from takeapart.formats.documents import canonical_json
+from takeapart.model.errors import InputError
 
 Outcome = dict[str, Any]
 """What a job found, as JSON holds it."""
@@ -26,21 +26,21 @@ Outcome = dict[str, Any]
 Files = Mapping[str, bytes]
 """Contents by path below the folder of a job."""
 
-# Code that shapes no result: everything else in the package is taken to do so. A name stands for all that starts so.
+# Code that shapes no result: everything else in the package is taken to do so. A path stands for all that starts so.
 SHAPING_NOTHING = (
-    "__",
-    "benchmarks",
-    "cli",
-    "compilation",
-    "experiments",
-    "export",
-    "messages",
-    "profile",
-    "render",
-    "report",
-    "run",
-    "verification",
-    "viewer",
+    "_",
+    "cli/",
+    "compilation.py",
+    "experiments/",
+    "formats/messages.py",
+    "generate/profile",
+    "page/",
+    "pictures/",
+    "planning/run",
+    "report/",
+    "show/",
+    "verification/",
+    "viewer/",
 )
 SHAPING_EXPERIMENTS = ("beyond_tasks", "paper_tasks")
 
@@ -172,6 +172,6 @@ def sources_digest(package: Path = Path(takeapart.__file__).parent) -> str:
 
 def _shaping_files(package: Path) -> Iterator[Path]:
     for path in sorted(package.rglob("*.py")):
-        if not path.relative_to(package).parts[0].startswith(SHAPING_NOTHING):
+        if not path.relative_to(package).as_posix().startswith(SHAPING_NOTHING):
             yield path
     yield from (package / "experiments" / f"{name}.py" for name in SHAPING_EXPERIMENTS)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 10_000

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from takeapart.documents import write_atomically
-from takeapart.errors import MissingExtraError
 from takeapart.experiments.paired_statistics import mean_interval
 from takeapart.experiments.paper_results import TITLES, Replanning, Row, Saving, guide_columns
-from takeapart.geometry import Array
+from takeapart.formats.documents import write_atomically
+from takeapart.model.errors import MissingExtraError
+from takeapart.model.geometry import Array
 
 VANILLA, REFERENCE = "#444444", "#999999"
 GUIDED = {"single": "#0072b2", "double": "#d55e00"}  # a pair that colour-blind people can tell apart

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from takeapart.assembly import Assembly
 from takeapart.experiments.jobs import Job
 from takeapart.experiments.paper_settings import SETS, PaperSettings
 from takeapart.experiments.paper_tasks import OrdersTask, ReferenceTask, ReplanningTask, SearchTask, TrainingTask
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import Assembly
 from takeapart.workcell import Workcell
 
 COST_OF_A_SAMPLE = 0.02  # of training, in planned removals

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import takeapart
-from takeapart.documents import write_atomically
 from takeapart.experiments import paper_csv, paper_tables
 from takeapart.experiments.paired_statistics import Comparison
 from takeapart.experiments.paper_figures import draw_all
@@ -31,6 +30,7 @@ from takeapart.experiments.paper_settings import DOUBLE, SINGLE, PaperSettings
 from takeapart.experiments.paper_values import TABLES
 from takeapart.experiments.schedule import Kept
 from takeapart.experiments.tables import replace_between_markers
+from takeapart.formats.documents import write_atomically
 from takeapart.planning import versions
 
 REPORT = "report.md"

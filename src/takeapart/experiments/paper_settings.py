@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.paths import RemovalOptions
 from takeapart.search.mcts import MctsOptions
 

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.errors import TakeapartError
 from takeapart.experiments.jobs import Outcome
+from takeapart.formats.serialization import assembly_hash, workcell_hash
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import TakeapartError
 from takeapart.planning import PlanningOptions, build_problem, search
 from takeapart.problem import AssemblyProblem, Guide
 from takeapart.removal.paths import RemovalOptions
@@ -22,7 +23,6 @@ from takeapart.removal.result import Effort, Removal
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, Progress, SearchResult
-from takeapart.serialization import assembly_hash, workcell_hash
 from takeapart.workcell import Workcell
 
 GUIDE_FILE = "guide.safetensors"

@@ -21,7 +21,7 @@ import numpy as np
 
 from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Removal

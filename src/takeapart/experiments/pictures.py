@@ -9,13 +9,13 @@ import argparse
 import sys
 from pathlib import Path
 
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.plan import Plan
+from takeapart.pictures.output import captioned, save_animation
+from takeapart.pictures.renderer import RenderOptions, animation
 from takeapart.planning import PlanningOptions, plan
-from takeapart.render import RenderOptions, animation
-from takeapart.render_output import captioned, save_animation
-from takeapart.render_scene import PlanScene
-from takeapart.report_charts import progress
+from takeapart.report.charts import progress
+from takeapart.show.scene import PlanScene
 
 ASSEMBLY, WORKCELL = "single/01.json", "panda"
 WIDTH, HEIGHT, FRAMES, FRAMES_PER_SECOND = 400, 320, 6, 7.0

@@ -11,9 +11,9 @@ import argparse
 
 import numpy as np
 
-from takeapart.assembly import members
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.geometry import Array, pose_inverse
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.model.assembly import members
+from takeapart.model.geometry import Array, pose_inverse
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.ik import solver_of
 from takeapart.robot.loading import load_robot

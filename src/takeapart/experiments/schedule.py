@@ -19,11 +19,11 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.documents import write_atomically
-from takeapart.errors import InputError, TakeapartError
 from takeapart.experiments.jobs import Answer, Files, Job, Outcome, job_keys, read_files, write_files
 from takeapart.experiments.workers import Workers
-from takeapart.messages import reason, shown
+from takeapart.formats.documents import write_atomically
+from takeapart.formats.messages import reason, shown
+from takeapart.model.errors import InputError, TakeapartError
 
 TURN = 0.5  # s, between two signs of life
 

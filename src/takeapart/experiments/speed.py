@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly
 from takeapart.compilation import compiled
-from takeapart.files import data_path, load_assembly, load_workcell
-from takeapart.plan import Plan
+from takeapart.formats.files import data_path, load_assembly, load_workcell
+from takeapart.generate.profiles import ProfileOptions, generate
+from takeapart.model.assembly import Assembly
+from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan_of, search
 from takeapart.problem import AssemblyProblem
-from takeapart.profiles import ProfileOptions, generate
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Effort, Removal
 from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace, WorldArrays

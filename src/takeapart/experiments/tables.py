@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from takeapart.documents import write_atomically
-from takeapart.errors import InputError
+from takeapart.formats.documents import write_atomically
+from takeapart.model.errors import InputError
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -17,15 +17,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from takeapart.assembly import Assembly
 from takeapart.experiments.paired_statistics import mean_interval
 from takeapart.experiments.paper_settings import SETS
 from takeapart.experiments.speed import new_problem
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_workcell
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.guide.experience import Experience, ExperienceWriter, Values, known_values, read_experience, together
 from takeapart.guide.policy import load_guide
 from takeapart.guide.training import TeacherName, TrainingOptions, train
+from takeapart.model.assembly import Assembly
 from takeapart.problem import AssemblyProblem, Guide
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel

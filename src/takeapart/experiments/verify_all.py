@@ -23,17 +23,17 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import members
-from takeapart.documents import write_atomically
 from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.files import data_path, load_assembly, load_plan, load_workcell, save_plan
-from takeapart.plan import Plan
-from takeapart.planning import SEARCHES, PlanningOptions, SearchName, build_problem, plan_of, search, sources_digest
+from takeapart.formats.documents import write_atomically
+from takeapart.formats.files import data_path, load_assembly, load_plan, load_workcell, save_plan
+from takeapart.model.assembly import members
+from takeapart.model.plan import Plan
+from takeapart.planning import PlanningOptions, build_problem, plan_of, search, sources_digest
 from takeapart.problem import AssemblyProblem
-from takeapart.search.baselines import BeamOptions
+from takeapart.search.registry import SEARCHES, SearchEntry
 from takeapart.search.result import Budget
 from takeapart.verification import Verifier, format_finding, states_of
-from takeapart.verification_checks import unsupported
+from takeapart.verification.checks import unsupported
 
 QUICK = ("single/03", "double/01")
 PLANS_MARKER, STABILITY_MARKER, SUMMARY_MARKER = "verify-all", "stability-agreement", "verify-all-summary"
@@ -55,7 +55,7 @@ class Settings:
         workcell: name of a shipped one.
     """
 
-    searches: tuple[SearchName, ...] = SEARCHES
+    searches: tuple[str, ...] = tuple(SEARCHES)
     random_seeds: int = 15
     exact_queries: int = 500
     queries: int = 200
@@ -120,19 +120,24 @@ class AssemblyOutcome:
 
 def searches_of(settings: Settings) -> list[PlanningOptions]:
     """Options of every plan that is made for an assembly."""
-    short = Budget(episodes=settings.episodes, queries=settings.queries)
-    budgets: dict[SearchName, Budget] = {
-        "greedy": Budget(),
-        "beam": Budget(),
-        "restarts": short,
-        "mcts": short,
-        "exact": Budget(queries=settings.exact_queries),
-    }
-    assert {"random", *budgets} == set(SEARCHES)
-    random = [PlanningOptions(search="random", seed=seed) for seed in range(settings.random_seeds)]
-    beam = BeamOptions(width=settings.beam_width)
-    every = random + [PlanningOptions(search=name, budget=budget, beam=beam) for name, budget in budgets.items()]
-    return [options for options in every if options.search in settings.searches]
+    orders = [PlanningOptions(search="random", seed=seed) for seed in range(settings.random_seeds)]
+    others = [
+        PlanningOptions(search=name, budget=_budget(entry, settings), search_options=_options(entry, settings))
+        for name, entry in reversed(list(SEARCHES.items()))
+        if name != "random"
+    ]
+    return [options for options in [*orders, *others] if options.search in settings.searches]
+
+
+def _budget(entry: SearchEntry, settings: Settings) -> Budget:
+    """What a search may spend; one that ends by itself may do so."""
+    if entry.proves:
+        return Budget(queries=settings.exact_queries)
+    return Budget(episodes=settings.episodes, queries=settings.queries) if entry.anytime else Budget()
+
+
+def _options(entry: SearchEntry, settings: Settings) -> object:
+    return replace(entry.options(), width=settings.beam_width) if entry.name == "beam" else entry.options()
 
 
 def verified(
@@ -334,7 +339,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--random-seeds", type=int, default=Settings.random_seeds, help="random orders per assembly")
     parser.add_argument("--document", type=Path, help="document whose tables are replaced")
-    parser.add_argument("--searches", nargs="+", choices=SEARCHES, default=SEARCHES, help="only these")
+    parser.add_argument("--searches", nargs="+", choices=SEARCHES, default=list(SEARCHES), help="only these")
     parser.add_argument("--exact-queries", type=int, default=Settings.exact_queries, help="budget of exact search")
     given = parser.parse_args(arguments)
     settings = Settings(tuple(given.searches), given.random_seeds, given.exact_queries)

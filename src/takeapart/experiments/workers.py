@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from typing import Any, Protocol
 
-from takeapart.errors import InputError, MissingExtraError
 from takeapart.experiments.jobs import Answer, Files, Task, perform
+from takeapart.model.errors import InputError, MissingExtraError
 
 RAY = "ray"
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from takeapart.errors import InputError
 from takeapart.guide.graph import EDGE_NUMBERS, NODE_NUMBERS
+from takeapart.model.errors import InputError
 
 LARGEST_LAYERS, LARGEST_WIDTH = 16, 1024
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from takeapart.documents import canonical_json
-from takeapart.errors import InputError
+from takeapart.formats.documents import canonical_json
+from takeapart.formats.messages import shown
 from takeapart.guide.weights import read_arrays, write_arrays
-from takeapart.messages import shown
+from takeapart.model.errors import InputError
 
 FORMAT, VERSION = "takeapart/guide-checkpoint", "1"
 MAXIMUM_BYTES = 512 * 2**20

@@ -21,9 +21,9 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from takeapart.assembly import Assembly, members
 from takeapart.guide.experience import Experience
 from takeapart.guide.graph import GraphBatch, Indices, Numbers, part_geometry
+from takeapart.model.assembly import Assembly, members
 
 GOAL = -1  # instead of the row of the empty state
 

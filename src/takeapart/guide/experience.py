@@ -25,13 +25,13 @@ from typing import Any
 
 import polars as pl
 
-from takeapart.assembly import Assembly
-from takeapart.documents import require_names, write_atomically
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.files import load_assembly, save_assembly
+from takeapart.formats.documents import require_names, write_atomically
+from takeapart.formats.files import load_assembly, save_assembly
+from takeapart.formats.messages import reason, shown
+from takeapart.formats.serialization import assembly_hash
 from takeapart.guide.experience_checks import HASH_LETTERS, SCHEMA, checked_table, read_rows
-from takeapart.messages import reason, shown
-from takeapart.serialization import assembly_hash
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError, UnknownNameError
 
 ASSEMBLY_ENDING = ".assembly.json"
 ORDER = ("assembly_hash", "state", "part", "reward", "next_state", "seed", "search", "bound", "least")

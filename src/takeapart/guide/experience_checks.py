@@ -10,10 +10,10 @@ from pathlib import Path
 
 import polars as pl
 
-from takeapart.assembly import Assembly
-from takeapart.documents import read_bytes
-from takeapart.errors import InputError
-from takeapart.messages import reason, shortened, shown
+from takeapart.formats.documents import read_bytes
+from takeapart.formats.messages import reason, shortened, shown
+from takeapart.model.assembly import Assembly
+from takeapart.model.errors import InputError
 
 HASH_LETTERS = 12  # of an assembly's hash in file names
 MAXIMUM_FILE_BYTES = 256 * 2**20

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.assembly import Assembly, members
-from takeapart.errors import InputError
-from takeapart.files import data_path
+from takeapart.formats.files import data_path
 from takeapart.guide.forward import ForwardPass
 from takeapart.guide.graph import Numbers, part_geometry
 from takeapart.guide.weights import Weights, load_weights
+from takeapart.model.assembly import Assembly, members
+from takeapart.model.errors import InputError
 
 DEFAULT = "default"
 SHIPPED = "guide/default.safetensors"  # trained on all shipped assemblies; guide/README.md is its model card

@@ -17,8 +17,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from takeapart.documents import canonical_json, write_atomically
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.formats.documents import canonical_json, write_atomically
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.checkpoint import LogRow, Stage, load_checkpoint, save_checkpoint
 from takeapart.guide.dataset import StateTable, state_table
@@ -27,6 +26,7 @@ from takeapart.guide.graph import Indices, Numbers
 from takeapart.guide.network import QNetwork
 from takeapart.guide.teachers import DoubleQTeacher, IntervalTeacher, Teacher, evaluate, interval_targets
 from takeapart.guide.weights import Weights, load_weights, save_weights
+from takeapart.model.errors import InputError, UnknownNameError
 
 TeacherName = Literal["backup", "exact", "dqn"]
 TEACHERS: tuple[TeacherName, ...] = ("backup", "exact", "dqn")

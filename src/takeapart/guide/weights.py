@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from takeapart.documents import canonical_json, read_bytes, write_atomically
-from takeapart.errors import InputError
+from takeapart.formats.documents import canonical_json, read_bytes, write_atomically
+from takeapart.formats.messages import shortened, shown
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.graph import Numbers
-from takeapart.messages import shortened, shown
+from takeapart.model.errors import InputError
 
 FORMAT, VERSION = "takeapart/guide", "1"
 MAXIMUM_BYTES = 64 * 2**20

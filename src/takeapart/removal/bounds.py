@@ -26,7 +26,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.result import Blocked, Removal
 
 

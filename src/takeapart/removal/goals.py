@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.geometry import Array, pose
+from takeapart.model.geometry import Array, pose
 from takeapart.motion.blockers import configuration_blockers
 from takeapart.motion.legs import joint_distances, near_pairs
 from takeapart.motion.scene import new_scene

@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from takeapart.assembly import Part
-from takeapart.geometry import Array, OrientedBox
+from takeapart.model.assembly import Part
+from takeapart.model.geometry import Array, OrientedBox
 from takeapart.workcell import Workcell
 
 SPACING = 0.02  # m, between grasps along the part

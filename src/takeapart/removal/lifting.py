@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.assembly import Assembly
-from takeapart.contact import distance
-from takeapart.geometry import Array, OrientedBox, box_separation
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array, OrientedBox, box_separation
+from takeapart.stability.contact import distance
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
 ROUNDING = 1e-9  # m

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.motion.edges import waypoints
 from takeapart.motion.legs import bends, two_legs
 from takeapart.motion.rrt import rrt_connect

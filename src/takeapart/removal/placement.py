@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from takeapart.assembly import OVERLAP_TOLERANCE, Assembly
-from takeapart.errors import InputError
-from takeapart.geometry import Array, OrientedBox, box_separation
+from takeapart.model.assembly import OVERLAP_TOLERANCE, Assembly
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, OrientedBox, box_separation
 from takeapart.motion.blockers import configuration_blockers
 from takeapart.motion.scene import new_scene
 from takeapart.removal.goals import ORIENTATIONS, GoalConfigurations

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.geometry import Array, OrientedBox
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array, OrientedBox
+from takeapart.model.plan import Grasp
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
 from takeapart.motion.scene import Scene
-from takeapart.plan import Grasp
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import lift_blockers

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.assembly import Assembly
-from takeapart.geometry import Array
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.removal.grasps import GraspCandidate, shortest_first, straight_line_bounds, tied

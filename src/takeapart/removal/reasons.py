@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from takeapart.assembly import Assembly, Part, members
-from takeapart.geometry import Box, OrientedBox
+from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.geometry import Box, OrientedBox
 from takeapart.removal.grasps import ungraspable
 from takeapart.removal.lifting import contact_height, lift_distance
 from takeapart.removal.planner import RemovalPlanner

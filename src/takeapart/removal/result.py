@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from takeapart.geometry import Array
-from takeapart.plan import Grasp
+from takeapart.model.geometry import Array
+from takeapart.model.plan import Grasp
 
 Stage = Literal["stability", "lift", "grasp", "ik", "path"]
 STAGES: tuple[Stage, ...] = ("stability", "lift", "grasp", "ik", "path")

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.motion.legs import one_leg
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.removal.goals import GoalConfigurations, Neighbours

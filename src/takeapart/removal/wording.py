@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.robot.extent import Extent
 
 NAMED = 4  # names in a sentence; the others are counted

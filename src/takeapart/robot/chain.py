@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.description import ArmDescription, RobotDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array, pose_inverse
+from takeapart.model.description import ArmDescription, RobotDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, pose_inverse
 from takeapart.robot.urdf import Urdf, read_urdf
 from takeapart.robot.urdf.tree import TURNING
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)

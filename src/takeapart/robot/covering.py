@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.chain import Body, Chain
 from takeapart.robot.cover import SphereCover, exact_cover, sphere_cover
 from takeapart.robot.kept import keep, kept

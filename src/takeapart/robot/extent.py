@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.robot.kinematics import tool_poses
 from takeapart.robot.model import RobotModel
 

@@ -12,9 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from takeapart.description import GripperDescription, RobotDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array, OrientedBox
+from takeapart.model.description import GripperDescription, RobotDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, OrientedBox
 from takeapart.robot.kept import keep, kept
 from takeapart.robot.urdf import Geometry, Urdf, convex_corners, read_urdf
 from takeapart.robot.urdf.meshes import hull_of

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from takeapart.geometry import Array, pose_inverse
+from takeapart.model.geometry import Array, pose_inverse
 from takeapart.robot.ik_solver import FlangeSolver, brought_solver, made_solver
 from takeapart.robot.kinematics import FULL_TURN, forward, mark_solutions
 from takeapart.robot.model import RobotModel

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from takeapart.caching import cache_folder
-from takeapart.errors import InputError, MissingExtraError
-from takeapart.geometry import Array, pose_inverse
+from takeapart.model.errors import InputError, MissingExtraError
+from takeapart.model.geometry import Array, pose_inverse
 
 LOGGER = logging.getLogger(__name__)
 SAME_FRAME = 1e-9  # m, rad; frames that are no further from each other are one

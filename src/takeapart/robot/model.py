@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.geometry import Array, OrientedBox, pose_inverse
+from takeapart.model.geometry import Array, OrientedBox, pose_inverse
 from takeapart.robot.arrays import ArmArrays, HeldArrays, Workspace, workspace
 from takeapart.robot.gripper import gripper_boxes
 from takeapart.robot.hand import move_load

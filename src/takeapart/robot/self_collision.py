@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from takeapart.compilation import compiled
-from takeapart.geometry import Array
+from takeapart.model.geometry import Array
 from takeapart.robot.arrays import TABLE_UNIT, Distances, Floats
 from takeapart.robot.kept import keep, kept
 from takeapart.robot.kinematics import FULL_TURN

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from takeapart.geometry import OrientedBox
+from takeapart.model.geometry import OrientedBox
 from takeapart.robot.arrays import Flags, WorldArrays
 from takeapart.robot.grid import clearance_fields, grid_fill
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.result import Blocked, Effort, Removal
-from takeapart.search.mcts import BudgetSpentError, Logbook
 from takeapart.search.result import Budget, ProgressListener, SearchResult
+from takeapart.search.session import BudgetSpentError, Session
 
 Successors = Callable[[int], Iterator[Removal]]
 """State -> its removals in the order in which a depth-first search tries them."""
@@ -88,10 +88,10 @@ def random_order(
     """A feasible order drawn at random, stepping back from dead ends; finds one whenever there is one.
 
     Returns:
-        no removals, the deepest dead ends as refusals and the statistic "infeasible" 1 if there is none.
+        no removals, the deepest dead ends as refusals and `infeasible` if there is none.
     """
-    log = Logbook(problem, budget, listen)
-    return _run(log, lambda: _depth_first(log, _random_successors(log, options, rng), options.monotone))
+    session = Session(problem, budget, listen)
+    return _run(session, lambda: _depth_first(session, _random_successors(session, options, rng), options.monotone))
 
 
 def greedy(
@@ -107,15 +107,15 @@ def greedy(
     With a guide the part with the greatest Q-value goes first, and candidates are asked one by one until one can leave.
     Steps back from dead ends; infeasibility is told as by `random_order`.
     """
-    log = Logbook(problem, budget, listen)
-    drawn = _random_successors(log, options, rng)
+    session = Session(problem, budget, listen)
+    drawn = _random_successors(session, options, rng)
 
     def shortest_first(state: int) -> Iterator[Removal]:
         # Random successors before a stable sort: equal lengths in random order.
         return iter(sorted(drawn(state), key=lambda removal: removal.length))
 
-    successors = shortest_first if guide is None else _random_successors(log, options, rng, guide)
-    return _run(log, lambda: _depth_first(log, successors, options.monotone))
+    successors = shortest_first if guide is None else _random_successors(session, options, rng, guide)
+    return _run(session, lambda: _depth_first(session, successors, options.monotone))
 
 
 def random_restarts(
@@ -126,19 +126,19 @@ def random_restarts(
     listen: ProgressListener | None = None,
 ) -> SearchResult:
     """The best of many random orders; one order is one episode of the budget."""
-    log = Logbook(problem, budget, listen)
-    successors = _random_successors(log, options.order, rng)
+    session = Session(problem, budget, listen)
+    successors = _random_successors(session, options.order, rng)
 
     def restart() -> None:
         idle = 0
-        while not log.clock.spent() and idle < options.patience:
-            before = (log.clock.queries, log.best[0])
-            _depth_first(log, successors, options.order.monotone)
-            if "infeasible" in log.statistics:
+        while not session.clock.spent() and idle < options.patience:
+            before = (session.clock.queries, session.best[0])
+            _depth_first(session, successors, options.order.monotone)
+            if session.infeasible:
                 return
-            idle = idle + 1 if before == (log.clock.queries, log.best[0]) else 0
+            idle = idle + 1 if before == (session.clock.queries, session.best[0]) else 0
 
-    return _run(log, restart)
+    return _run(session, restart)
 
 
 def beam(
@@ -160,12 +160,14 @@ def beam(
         a sequence, and as sequence_bound the least that a sequence can cost that leaves the beam (or runs through what
         the budget left out); it equals the length where the beam was wide enough.
     """
-    log = Logbook(problem, budget, listen)
-    layers = _Layers(log, options, rng, guide)
-    return _run(log, layers.widen_until_found, layers.settle)
+    session = Session(problem, budget, listen)
+    layers = _Layers(session, options, rng, guide)
+    return _run(session, layers.widen_until_found, layers.settle)
 
 
-def _run(log: Logbook, search: Callable[[], None], settle: Callable[[], float | None] | None = None) -> SearchResult:
+def _run(
+    session: Session, search: Callable[[], None], settle: Callable[[], float | None] | None = None
+) -> SearchResult:
     """Run a search to its end, the end of its budget, or Ctrl-C; `settle` then gives the sequence bound."""
     interrupted = False
     try:
@@ -175,49 +177,49 @@ def _run(log: Logbook, search: Callable[[], None], settle: Callable[[], float | 
     except KeyboardInterrupt:
         interrupted = True
     bound = settle() if settle is not None else None
-    return log.result(interrupted, bound)
+    return session.result(interrupted, bound)
 
 
 def _random_successors(
-    log: Logbook, options: OrderOptions, rng: np.random.Generator, guide: Guide | None = None
+    session: Session, options: OrderOptions, rng: np.random.Generator, guide: Guide | None = None
 ) -> Successors:
     """In random order; with a guide, those with the greatest Q-value first, and ties at random."""
     effort = Effort(attempts=options.attempts)
 
     def successors(state: int) -> Iterator[Removal]:
-        found = log.problem.candidates(state)
+        found = session.problem.candidates(state)
         candidates = [found[int(place)] for place in rng.permutation(len(found))]
         if guide is not None:
             values = guide([state])[0]
             candidates.sort(key=lambda part: -values[part])
         refusals = []
         for part in candidates:
-            answer = log.ask(state, part, effort)
+            answer = session.ask(state, part, effort)
             if isinstance(answer, Removal):
                 yield answer
             else:
                 refusals.append(answer)
         if len(refusals) == len(candidates):
             stuck = True
-            for removal in log.second_look(state, refusals):
+            for removal in session.second_look(state, refusals):
                 stuck = False
                 yield removal
             if stuck:
-                log.dead_end(state, refusals)
+                session.dead_end(state, refusals)
 
     return successors
 
 
-def _depth_first(log: Logbook, successors: Successors, monotone: bool) -> None:
+def _depth_first(session: Session, successors: Successors, monotone: bool) -> None:
     """Offer the first sequence found without entering a state twice; count an episode, or state infeasibility."""
-    root = log.problem.root
+    root = session.problem.root
     path: list[Removal] = []
     entered = {root}
     stack = [(root, successors(root))]
     while stack:
         state, removals = stack[-1]
         if state == 0:
-            log.offer(path, found_episode=log.clock.episodes + 1)
+            session.offer(path, found_episode=session.clock.episodes + 1)
             break
         for removal in removals:
             following = state & ~(1 << removal.part)
@@ -227,16 +229,16 @@ def _depth_first(log: Logbook, successors: Successors, monotone: bool) -> None:
                 stack.append((following, successors(following)))
                 break
         else:
-            if monotone and log.dead_ends:
+            if monotone and session.dead_ends:
                 stack.clear()
             else:
                 stack.pop()
                 del path[-1:]
     else:
-        log.statistics["infeasible"] = 1.0
-    log.statistics["states"] = len(entered)
-    log.clock.episodes += 1
-    log.report()
+        session.infeasible = True
+    session.statistics["states"] = len(entered)
+    session.clock.episodes += 1
+    session.report()
 
 
 class _Layers:
@@ -246,31 +248,31 @@ class _Layers:
     candidates were all asked for. States that were reached but not expanded were pruned, or left over by the budget.
     """
 
-    def __init__(self, log: Logbook, options: BeamOptions, rng: np.random.Generator, guide: Guide | None) -> None:
-        self.log, self.options, self.rng, self.guide = log, options, rng, guide
+    def __init__(self, session: Session, options: BeamOptions, rng: np.random.Generator, guide: Guide | None) -> None:
+        self.session, self.options, self.rng, self.guide = session, options, rng, guide
         self.width = options.width
         self.edges: dict[int, list[Removal]] = {}
         self.expanded: set[int] = set()
 
     def widen_until_found(self) -> None:
-        """Sweep with doubled width until a sequence is found, nothing was pruned, or the budget is spent."""
+        """WeightedAStar with doubled width until a sequence is found, nothing was pruned, or the budget is spent."""
         while True:
             pruned = self.sweep()
-            self.log.clock.episodes += 1
+            self.session.clock.episodes += 1
             self.settle()
-            self.log.report()
-            if self.log.best[1] or not self.log.problem.root:
+            self.session.report()
+            if self.session.best[1] or not self.session.problem.root:
                 return
             if not pruned:
-                self.log.statistics["infeasible"] = 1.0
+                self.session.infeasible = True
                 return
-            if self.log.clock.spent():
+            if self.session.clock.spent():
                 return
             self.width *= 2
 
     def sweep(self) -> bool:
         """One pass over all layers; whether any state was pruned."""
-        problem, effort = self.log.problem, Effort(attempts=self.options.attempts)
+        problem, effort = self.session.problem, Effort(attempts=self.options.attempts)
         self.edges, self.expanded = {}, set()
         cost = {problem.root: 0.0}  # of the layer's states, m
         pruned = False
@@ -282,15 +284,15 @@ class _Layers:
                 refusals: list[Blocked] = []
                 self.edges[state] = []
                 for part in problem.candidates(state):
-                    answer = self.log.ask(state, part, effort)
+                    answer = self.session.ask(state, part, effort)
                     if isinstance(answer, Removal):
                         self.edges[state].append(answer)
                     else:
                         refusals.append(answer)
                 if not self.edges[state]:
-                    self.edges[state] += self.log.second_look(state, refusals)
+                    self.edges[state] += self.session.second_look(state, refusals)
                 if not self.edges[state]:
-                    self.log.dead_end(state, refusals)
+                    self.session.dead_end(state, refusals)
                 self.expanded.add(state)
                 for removal in self.edges[state]:
                     rest = state & ~(1 << removal.part)
@@ -310,7 +312,7 @@ class _Layers:
 
     def bounds(self, cost: dict[int, float]) -> dict[int, float]:
         """Per state a bound on all sequences through it, m: its cost plus that of each of its parts as if alone."""
-        root, lower = self.log.problem.root, self.log.problem.lower
+        root, lower = self.session.problem.root, self.session.problem.lower
         alone = {part: lower(1 << part, part) for part in range(root.bit_length()) if root >> part & 1}
         return {
             state: value + sum(least for part, least in alone.items() if state >> part & 1)
@@ -323,7 +325,7 @@ class _Layers:
         Costs are those of the end, not those of the ranking: the library may have learned a shorter removal that is
         valid in an earlier state too, and sequence and bound must rest on the same costs.
         """
-        problem = self.log.problem
+        problem = self.session.problem
         cost: dict[int, float] = {problem.root: 0.0}
         best_edge: dict[int, tuple[int, Removal]] = {}
         for state, removals in self.edges.items():  # in the order of expansion: layer by layer
@@ -333,21 +335,21 @@ class _Layers:
                 if through < cost.get(following, math.inf):
                     cost[following], best_edge[following] = through, (state, removal)
         if 0 in cost:
-            self.log.offer(self.sequence(best_edge))
-        length = self.log.best[0]
+            self.session.offer(self.sequence(best_edge))
+        length = self.session.best[0]
         left = {state: value for state, value in cost.items() if state and state not in self.expanded}
-        self.log.bound = min([length, *self.bounds(left).values()])
-        self.log.statistics |= {"width": self.width, "states": len(cost)}
-        return self.log.bound if math.isfinite(self.log.bound) else None
+        self.session.bound = min([length, *self.bounds(left).values()])
+        self.session.statistics |= {"width": self.width, "states": len(cost)}
+        return self.session.bound if math.isfinite(self.session.bound) else None
 
     def sequence(self, best_edge: dict[int, tuple[int, Removal]]) -> list[Removal]:
         """Removals from the root to the goal; where the library has a shorter one by now, that one."""
         removals: list[Removal] = []
         state = 0
-        while state != self.log.problem.root:
+        while state != self.session.problem.root:
             state, removal = best_edge[state]
-            if self.log.problem.upper(state, removal.part) < removal.length:
-                answer = self.log.problem.remove(state, removal.part, Effort())  # known, so it costs nothing
+            if self.session.problem.upper(state, removal.part) < removal.length:
+                answer = self.session.problem.remove(state, removal.part, Effort())  # known, so it costs nothing
                 if isinstance(answer, Removal) and answer.length < removal.length:
                     removal = answer
             removals.append(removal)

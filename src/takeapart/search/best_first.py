@@ -21,15 +21,16 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.problem import Guide, Problem
-from takeapart.search.inquiry import Edge, Inquiry, bounds_of
+from takeapart.search.edge_queries import EdgeQueries
 from takeapart.search.lattice_bounds import TOLERANCE
 from takeapart.search.lazy_beam import lazy_beam
-from takeapart.search.mcts import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.lazy_edges import LazyEdges
 from takeapart.search.orders import DeadEndError, Orders
 from takeapart.search.result import Budget, ProgressListener, SearchResult
-from takeapart.search.sweep import Sweep
+from takeapart.search.session import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentError, Session, TransitionObserver
+from takeapart.search.weighted_astar import WeightedAStar
 
 BOUND_SHARE = 0.1  # of a limited time, kept for the final sweep
 
@@ -88,25 +89,26 @@ def best_first(
     """A good order of parts with a bound, without enumerating states.
 
     Args:
-        problem: makes use of the same optional attributes as `exact`. With `hindered_by` conditions are known to be
-            monotone, and the first dead end proves that there is no order.
+        problem: with `hindered_by` conditions are known to be monotone, and the first dead end proves that there is no
+            order.
         budget: an episode is a beam or a sweep.
         guide: leads the first descent, and the sweeps as far as their factor allows.
 
     Returns:
         as `exact`; the statistic "weight" is the factor w of the last sweep that ended with a plan.
     """
-    return continue_best_first(Logbook(problem, budget, listen, observe), options, guide)
+    return continue_best_first(Session(problem, budget, listen, observe), options, guide)
 
 
-def continue_best_first(log: Logbook, options: BestFirstOptions, guide: Guide | None = None) -> SearchResult:
-    """The same with a logbook that was opened before: its clock goes on."""
-    if math.isfinite(log.clock.budget.seconds):
-        log.clock.reserve = BOUND_SHARE * log.clock.budget.seconds
-    bounds = bounds_of(log.problem)
+def continue_best_first(session: Session, options: BestFirstOptions, guide: Guide | None = None) -> SearchResult:
+    """The same in a session that was opened before: its clock goes on."""
+    if math.isfinite(session.clock.budget.seconds):
+        session.clock.reserve = BOUND_SHARE * session.clock.budget.seconds
+    bounds = session.problem.edge_bounds
     interrupted = False
-    with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
-        search = _BestFirst(Orders(log, bounds, inquiry, options.batch, guide), options)
+    with EdgeQueries(session, bounds, options.attempts, options.workers) as edge_queries:
+        lazy = LazyEdges(session, bounds, edge_queries, guide, options.second_look)
+        search = _BestFirst(Orders(lazy, options.batch), options)
         try:
             search.run()
         except BudgetSpentError:
@@ -114,7 +116,7 @@ def continue_best_first(log: Logbook, options: BestFirstOptions, guide: Guide | 
         except KeyboardInterrupt:
             interrupted = True
     search.settle()
-    return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
+    return session.result(interrupted, session.bound if 0 <= session.bound < math.inf else None)
 
 
 class _BestFirst:
@@ -122,42 +124,38 @@ class _BestFirst:
 
     def __init__(self, orders: Orders, options: BestFirstOptions) -> None:
         self.orders, self.options = orders, options
-        self.log, self.bounds, self.inquiry = orders.log, orders.bounds, orders.inquiry
-        self.looked_twice: set[Edge] = set()
-        self.falls = -1  # of the bounds, when log.bound was last raised
-        self.sweep: Sweep | None = None
+        self.lazy, self.session = orders.lazy, orders.session
+        self.bounds, self.edge_queries = orders.bounds, orders.edge_queries
+        self.falls = -1  # of the bounds, when session.bound was last raised
+        self.sweep: WeightedAStar | None = None
 
     def run(self) -> None:
         """Until the order is proved best, no order is left, the weights are used up, or memory is."""
-        smallest = [(state, part) for part, state in self.orders.smallest.items()]
-        candidates = self.log.problem.candidates  # without masks a part may be unable to leave only because it is alone
-        self.inquiry.ask(
-            [edge for edge in smallest if edge[1] in candidates(edge[0]) and not self.bounds.is_closed(*edge)]
-        )
+        self.lazy.ask_alone(self.orders.smallest)
         while not self.attempt():
-            refused = self.doubtful_refusals()
+            refused = self.lazy.doubtful_refusals(sorted(self.session.dead_ends, key=int.bit_count))
             if not refused:
-                self.log.statistics["infeasible"] = 1.0
+                self.session.infeasible = True
                 return
-            self.inquiry.ask(refused, self.options.second_look)
+            self.edge_queries.ask(refused, self.options.second_look)
 
     def attempt(self) -> bool:
         """Descend, improve, and prove; False at dead ends that leave no order."""
-        self.log.dead_ends.clear()
+        self.session.dead_ends.clear()
         for part, cost in self.orders.least_costs().items():
             if math.isinf(cost):
                 self.orders.dead_end(self.orders.smallest[part])
-        if self.log.dead_ends:
+        if self.session.dead_ends:
             return False
         self.refresh_bound()
         try:
-            if math.isinf(self.log.best[0]):
+            if math.isinf(self.session.best[0]):
                 self.descend()
             for width in self.options.beams:
                 lazy_beam(self.orders, width)
-                self.log.clock.episodes += 1
+                self.session.clock.episodes += 1
                 self.refresh_bound()
-                self.log.report()
+                self.session.report()
             return self.prove()
         except DeadEndError:
             return False
@@ -168,23 +166,23 @@ class _BestFirst:
         while remaining:
             self.refresh_bound()
             weight = remaining.pop(0)
-            if self.log.best[0] <= weight * self.log.bound + TOLERANCE:
+            if self.session.best[0] <= weight * self.session.bound + TOLERANCE:
                 continue
             falls = self.bounds.falls
-            self.sweep = Sweep(self.orders, weight, lazy=True)
+            self.sweep = WeightedAStar(self.orders, weight, lazy=True)
             ended = self.sweep.run(self.options.memory_limit, None)
-            self.log.clock.episodes += 1
+            self.session.clock.episodes += 1
             if not ended:
-                self.log.statistics["out_of_memory"] = 1.0
+                self.session.statistics["out_of_memory"] = 1.0
                 return True
-            if math.isinf(self.log.best[0]):
+            if math.isinf(self.session.best[0]):
                 self.find_dead_ends(self.sweep)
                 return False
-            self.log.statistics["weight"] = weight
-            self.raise_bound(self.log.best[0] / weight, falls)
+            self.session.statistics["weight"] = weight
+            self.raise_bound(self.session.best[0] / weight, falls)
             if weight == 1.0 and falls != self.bounds.falls:
                 remaining = [weight]  # what a falling cost may have hidden is looked for again
-            self.log.report()
+            self.session.report()
         return True
 
     def settle(self) -> None:
@@ -192,66 +190,46 @@ class _BestFirst:
         if self.sweep is not None and self.sweep.weight == 1.0:
             self.raise_bound(self.sweep.least(), self.sweep.falls)
         self.refresh_bound()
-        if self.log.statistics.get("infeasible"):
-            self.log.bound = math.inf
-        elif self.log.bound < self.log.best[0] - TOLERANCE:
-            final = Sweep(self.orders, 1.0, lazy=False)
+        if self.session.infeasible:
+            self.session.bound = math.inf
+        elif self.session.bound < self.session.best[0] - TOLERANCE:
+            final = WeightedAStar(self.orders, 1.0, lazy=False)
             with suppress(DeadEndError):
                 with suppress(BudgetSpentError):  # whenever it ends, what waits tells a bound
                     final.run(self.options.memory_limit, self.options.bound_states)
                 self.raise_bound(final.least(), final.falls)
-        self.log.report()
+        self.session.report()
 
     def refresh_bound(self) -> None:
         """Drop the bound if a closed cost fell since it was found; h at the root always holds."""
         if self.falls != self.bounds.falls:
-            self.falls, self.log.bound = self.bounds.falls, -math.inf
+            self.falls, self.session.bound = self.bounds.falls, -math.inf
         self.raise_bound(sum(self.orders.least_costs().values()), self.falls)
 
     def raise_bound(self, bound: float, falls: int) -> None:
         """Take a bound that was found after so many falls; no bound is above the best length."""
         if falls == self.bounds.falls:
-            before = self.log.bound if self.falls == falls else -math.inf
-            self.falls, self.log.bound = falls, min(max(before, bound), self.log.best[0])
+            before = self.session.bound if self.falls == falls else -math.inf
+            self.falls, self.session.bound = falls, min(max(before, bound), self.session.best[0])
 
     def descend(self) -> None:
         """Follow the part that costs least more than it must (or that the guide prefers) until a plan is found."""
-        state, order = self.log.problem.root, []
         least = self.orders.least_costs()
-        blamed: dict[int, int] = {}  # per part that was refused: what stood in its way
-        while state:
-            doubt = self.orders.doubt(state)
-            excess = {part: self.bounds.lower(state, part) - least[part] for part in self.log.problem.candidates(state)}
-            still = {part: not mask & ~state for part, mask in blamed.items()}
-            for part in sorted(excess, key=lambda p: (still.get(p, False), doubt.get(p, 0.0), excess[p])):
-                if not self.bounds.is_closed(state, part):
-                    self.inquiry.ask([(state, part)])
-                if refusal := self.bounds.refusal(state, part):
-                    blamed[part] = refusal.blamed
-                if math.isfinite(self.bounds.upper(state, part)):
-                    break
-            else:
-                self.orders.meet_dead_end(state)
-                return
-            order.append(part)
-            state &= ~(1 << part)
-        self.orders.offer(order)
 
-    def find_dead_ends(self, sweep: Sweep) -> None:
+        def excess(state: int) -> dict[int, float]:
+            candidates = self.session.problem.candidates(state)
+            return {part: self.bounds.lower(state, part) - least[part] for part in candidates}
+
+        order, left = self.lazy.descend(excess)
+        if left:
+            self.orders.meet_dead_end(left)
+        else:
+            self.orders.offer(order)
+
+    def find_dead_ends(self, sweep: WeightedAStar) -> None:
         """Take note of the deepest dead ends that a sweep without a plan has visited."""
         for state in sorted(sweep.g, key=lambda state: (state.bit_count(), state)):
             if self.orders.is_dead_end(state):
                 self.orders.dead_end(state)
-                if len(self.log.dead_ends) == MAXIMUM_REFUSALS:
+                if len(self.session.dead_ends) == MAXIMUM_REFUSALS:
                     return
-
-    def doubtful_refusals(self) -> list[Edge]:
-        """Edges out of a dead end that were not looked at twice: those of the deepest one that has any."""
-        for state in sorted(self.log.dead_ends, key=int.bit_count) if self.options.second_look else ():
-            found = [
-                (state, part) for part in self.log.problem.candidates(state) if (state, part) not in self.looked_twice
-            ]
-            if found:
-                self.looked_twice.update(found)
-                return found
-        return []

@@ -14,33 +14,35 @@ What the numbers are:
   in its subsets, and nothing undercuts the static bounds. With exact edge costs it is the true optimum of the lattice.
   It does not say that a better path planner, or another seed, could not do better; only the straight-line bound of a
   plan holds for all of them.
-- "infeasible" likewise: every sequence runs through a part that the planner could not remove, when it was asked a
-  second time with more attempts too. Only what gravity and lifting forbid is beyond doubt.
+- `SearchResult.infeasible` likewise: every sequence runs through a part that the planner could not remove, when it was
+  asked a second time with more attempts too. Only what gravity and lifting forbid is beyond doubt.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.problem import Guide, Problem
-from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.best_first import BestFirstOptions, continue_best_first
-from takeapart.search.inquiry import Edge, Inquiry, bounds_of, refusals_in
+from takeapart.search.edge_queries import Edge, EdgeQueries, refusals_in
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
-from takeapart.search.mcts import MAXIMUM_REFUSALS, SECOND_LOOK, BudgetSpentError, Logbook, TransitionObserver
+from takeapart.search.lazy_edges import LazyEdges, telling
 from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
+from takeapart.search.session import (
+    MAXIMUM_REFUSALS,
+    SECOND_LOOK,
+    BudgetSpentError,
+    Session,
+    SettledObserver,
+    TransitionObserver,
+)
 
 MANY_STATES = 500_000
 SETTLED_SECONDS = 0.1  # at least, also beyond the limit, to tell what is settled
-
-SettledObserver = Callable[[int, int, float, int, Sequence[int], float, float], None]
-"""Called as a `TransitionObserver`, then with the least and the greatest length, m, that the shortest sequence may have
-that begins with the removal; they are equal where it is known."""
 
 
 @dataclass(frozen=True)
@@ -92,68 +94,62 @@ def exact(
     """The best order of parts, and the proof of it, for the edge costs that the removal planner finds.
 
     Args:
-        problem: optional attributes are made use of: `edge_bounds` (`EdgeBounds` shared with other searches),
-            `static_lower(part)` and `hindered_by` (see `enumerate_states`).
+        problem: with `hindered_by` states are enumerated by compiled code.
         budget: an episode is a round.
         guide: leads the first descent, and says which of several unknown edges is asked first.
         observe_settled: is told in the end the known removals in all states of which the cost to the goal is known; as
             many of them as the time allows, those of large states first.
 
     Returns:
-        best sequence, its length and `sequence_bound`; where there is no order, the statistic "infeasible" 1 and the
-        deepest dead ends as refusals. The statistics "closed_length" and "closed_queries" are those of the moment in
-        which the gap was closed for the first time, "passes" those of the refinement.
+        best sequence, its length and `sequence_bound`; where there is no order, `infeasible` and the deepest dead ends
+        as refusals. The statistics "closed_length" and "closed_queries" are those of the moment in which the gap was
+        closed for the first time, "passes" those of the refinement.
     """
-    log = Logbook(problem, budget, listen, observe)
+    session = Session(problem, budget, listen, observe)
     search: _LazySearch | None = None
     interrupted = False
     try:
-        lattice = enumerate_states(problem, options.state_limit, log.clock.late)
+        lattice = enumerate_states(problem, options.state_limit, session.clock.late)
         if isinstance(lattice, TooLarge):
-            return continue_best_first(log, options.best_first, guide)
+            return continue_best_first(session, options.best_first, guide)
         if lattice is None:
             raise BudgetSpentError
-        bounds = bounds_of(problem)
-        with Inquiry(log, bounds, options.attempts, options.workers) as inquiry:
-            search = _LazySearch(log, lattice, bounds, inquiry, options, guide)
+        bounds = problem.edge_bounds
+        with EdgeQueries(session, bounds, options.attempts, options.workers) as edge_queries:
+            lazy = LazyEdges(session, bounds, edge_queries, guide, options.second_look)
+            search = _LazySearch(lazy, lattice, options)
             search.run()
     except BudgetSpentError:
         pass
     except KeyboardInterrupt:
         interrupted = True
     if search is None:
-        return log.result(interrupted)
+        return session.result(interrupted)
     search.settle()
-    told_until = log.clock.seconds + SETTLED_SECONDS
+    told_until = session.clock.seconds + SETTLED_SECONDS
     if observe_settled is not None:
         for row, edge, part, cost, least, most in search.sequences.settled_edges():
             state, following = search.lattice.state(row), search.lattice.state(int(search.lattice.child[edge]))
             observe_settled(state, part, -cost, following, problem.candidates(following), least, most)
-            if log.clock.late() and log.clock.seconds > told_until:
+            if session.clock.late() and session.clock.seconds > told_until:
                 break
-    return log.result(interrupted, log.bound if 0 <= log.bound < math.inf else None)
+    return session.result(interrupted, session.bound if 0 <= session.bound < math.inf else None)
 
 
 class _LazySearch:
     """One run on a lattice."""
 
-    def __init__(
-        self,
-        log: Logbook,
-        lattice: Lattice,
-        bounds: EdgeBounds,
-        inquiry: Inquiry,
-        options: ExactOptions,
-        guide: Guide | None,
-    ) -> None:
-        self.log, self.lattice, self.bounds, self.inquiry = log, lattice, bounds, inquiry
-        self.options, self.guide = options, guide
-        log.look_at_clock()
+    def __init__(self, lazy: LazyEdges, lattice: Lattice, options: ExactOptions) -> None:
+        self.lazy, self.lattice, self.options = lazy, lattice, options
+        self.session, self.bounds, self.edge_queries = lazy.session, lazy.bounds, lazy.edge_queries
+        session, bounds = self.session, self.bounds
+        session.look_at_clock()
         edges = LatticeBounds(lattice, bounds)
         self.sequences = SequenceBounds(lattice, edges)
-        self.refinement = Refinement(lattice, bounds, edges, options.attempts, options.refinement, log.look_at_clock)
-        log.look_at_clock()
-        self.looked_twice: set[Edge] = set()
+        self.refinement = Refinement(
+            lattice, bounds, edges, options.attempts, options.refinement, session.look_at_clock
+        )
+        session.look_at_clock()
 
     def run(self) -> None:
         """Until the gap is closed and refinement is no longer worth it, or no order is left.
@@ -161,28 +157,28 @@ class _LazySearch:
         Raises:
             BudgetSpentError: that takes too long.
         """
-        log = self.log
+        session = self.session
         if self.lattice.goal >= 0:  # else gravity and lifting alone allow no order, whatever the planner says
-            self.close_smallest_states()
+            self.lazy.ask_alone(self.lattice.smallest_states())
         self.settle()
-        if math.isinf(log.best[0]):
+        if math.isinf(session.best[0]):
             self.descend()
         attempts: int | list[int]
         while True:
             self.settle()
             if math.isinf(self.sequences.lower):
-                batch, attempts = self.doubtful_refusals(), self.options.second_look
-            elif log.best[0] <= (1 + self.options.gap) * log.bound + TOLERANCE:
-                log.statistics.setdefault("closed_length", log.best[0])
-                log.statistics.setdefault("closed_queries", log.clock.queries)
-                batch = self.refinement.edges(log.best[0], self.batch, log.clock.queries)
+                batch, attempts = self.lazy.doubtful_refusals(session.dead_ends), self.options.second_look
+            elif session.best[0] <= (1 + self.options.gap) * session.bound + TOLERANCE:
+                session.statistics.setdefault("closed_length", session.best[0])
+                session.statistics.setdefault("closed_queries", session.clock.queries)
+                batch = self.refinement.edges(session.best[0], self.batch, session.clock.queries)
                 attempts = [self.refinement.attempts(edge) for edge in batch]
             else:
                 batch, attempts = self.most_telling(), self.options.attempts
             if not batch:
                 return
-            self.inquiry.ask(batch, attempts)
-            log.clock.episodes += 1
+            self.edge_queries.ask(batch, attempts)
+            session.clock.episodes += 1
 
     @property
     def batch(self) -> int:
@@ -191,85 +187,50 @@ class _LazySearch:
 
     def settle(self) -> None:
         """Bring bounds, best sequence and refusals up to date with all that was learned, and report."""
-        log, sequences = self.log, self.sequences
-        started = log.clock.seconds
+        session, sequences = self.session, self.sequences
+        started = session.clock.seconds
         sequences.update()
-        log.clock.reserve = max(log.clock.reserve, log.clock.seconds - started)  # the last one takes about as long
-        if sequences.upper < log.best[0]:
+        session.clock.reserve = max(
+            session.clock.reserve, session.clock.seconds - started
+        )  # the last one takes about as long
+        if sequences.upper < session.best[0]:
             removals = [self.bounds.best(self.lattice.state(row), part) for row, _, part in sequences.best_known()]
-            log.offer([each for each in removals if each is not None], found_episode=log.clock.episodes)
-        log.bound = min(sequences.lower, log.best[0])
-        log.dead_ends.clear()
-        if math.isinf(log.bound):
+            session.offer([each for each in removals if each is not None], found_episode=session.clock.episodes)
+        session.bound = min(sequences.lower, session.best[0])
+        session.dead_ends.clear()
+        if math.isinf(session.bound):
             for row in sequences.dead_ends(MAXIMUM_REFUSALS):
                 state = self.lattice.state(row)
-                log.dead_end(state, refusals_in(log.problem, self.bounds, state))
-        log.statistics |= {
+                session.dead_end(state, refusals_in(session.problem, self.bounds, state))
+        session.infeasible = math.isinf(session.bound)
+        session.statistics |= {
             "states": len(self.lattice.states),
             "edges": len(self.lattice.child),
             "states_left": len(sequences.rows),
-            "infeasible": float(math.isinf(log.bound)),
             "passes": self.refinement.passes,
         }
-        log.report()
-
-    def close_smallest_states(self) -> None:
-        """Plan every part in the smallest state that it can leave: a lower bound for all its edges."""
-        smallest = self.lattice.smallest_states()
-        self.inquiry.ask([(state, part) for part, state in smallest.items() if not self.bounds.is_closed(state, part)])
+        session.report()
 
     def descend(self) -> None:
         """Follow the most promising part from state to state, so that there is a plan early; ends at a dead end."""
-        sequences, row, state = self.sequences, 0, self.log.problem.root
-        blamed: dict[int, int] = {}  # per part that was refused: what stood in its way
-        while row != self.lattice.goal:
-            doubt = self.doubt(state)
-            edges = {self.lattice.part(edge): edge for edge in self.lattice.edges(row)}
-            promise = {part: sequences.bound_through(edge) for part, edge in edges.items()}
-            still = {part: not mask & ~state for part, mask in blamed.items()}
-            for part in sorted(promise, key=lambda p: (still.get(p, False), doubt.get(p, 0.0), promise[p])):
-                if math.isinf(promise[part]):
-                    continue
-                if not self.bounds.is_closed(state, part):
-                    self.inquiry.ask([(state, part)])
-                if math.isfinite(self.bounds.upper(state, part)):
-                    row, state = int(self.lattice.child[edges[part]]), state & ~(1 << part)
-                    break
-                if refusal := self.bounds.refusal(state, part):
-                    blamed[part] = refusal.blamed
-            else:
-                return
+        rows = {self.session.problem.root: 0}
 
-    def doubt(self, state: int) -> dict[int, float]:
-        """Per candidate, how much worse than the best one the guide takes it to be, m; empty without a guide."""
-        if self.guide is None:
-            return {}
-        values = self.guide([state])[0]
-        return {part: max(values.values()) - value for part, value in values.items()}
+        def promise(state: int) -> dict[int, float]:
+            edges = {self.lattice.part(edge): edge for edge in self.lattice.edges(rows[state])}
+            rows.update({state & ~(1 << part): int(self.lattice.child[edge]) for part, edge in edges.items()})
+            through = {part: self.sequences.bound_through(edge) for part, edge in edges.items()}
+            return {part: bound for part, bound in through.items() if math.isfinite(bound)}
+
+        self.lazy.descend(promise)
 
     def most_telling(self) -> list[Edge]:
         """Open edges of the sequence that looks best."""
         sequences = self.sequences
         open_edges = [(row, edge, part) for row, edge, part in sequences.most_promising() if sequences.is_open(edge)]
-        batch = self.batch
-        last = batch // 2
-        chosen, others = open_edges[-last:] if last else [], open_edges[: len(open_edges) - last]
 
-        def telling(step: tuple[int, int, int]) -> tuple[float, float]:
+        def uncertainty(step: tuple[int, int, int]) -> tuple[float, float]:
             row, edge, part = step
-            doubt = self.doubt(self.lattice.state(row)) if self.guide is not None else {}
-            return sequences.uncertainty(edge), doubt.get(part, 0.0)
+            return sequences.uncertainty(edge), self.lazy.doubt(self.lattice.state(row)).get(part, 0.0)
 
-        chosen = sorted(others, key=telling, reverse=True)[: batch - last] + chosen
+        chosen = telling(open_edges, self.batch, uncertainty)
         return [(self.lattice.state(row), part) for row, _, part in chosen]
-
-    def doubtful_refusals(self) -> list[Edge]:
-        """Edges out of a dead end that were refused, but not looked at twice: those of the deepest one that has any."""
-        for state in self.log.dead_ends if self.options.second_look else ():
-            found = [
-                (state, part) for part in self.log.problem.candidates(state) if (state, part) not in self.looked_twice
-            ]
-            if found:
-                self.looked_twice.update(found)
-                return found
-        return []

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.assembly import members
 from takeapart.compilation import compiled
-from takeapart.errors import InputError
+from takeapart.model.assembly import members
+from takeapart.model.errors import InputError
 from takeapart.problem import Problem
 from takeapart.removal.result import never
 
@@ -101,12 +101,6 @@ def words_needed(parts: int) -> int:
     return max(1, -(-parts // 64))
 
 
-def hindrances(problem: Problem) -> Sequence[int] | None:
-    """The problem's `hindered_by`, if it has one: per part number the state of those that must leave before it does."""
-    masks: Sequence[int] | None = getattr(problem, "hindered_by", None)
-    return masks
-
-
 def enumerate_states(problem: Problem, limit: int, is_late: Callable[[], bool] = never) -> Lattice | TooLarge | None:
     """All states reachable from the root by `candidates`.
 
@@ -126,7 +120,7 @@ def enumerate_states(problem: Problem, limit: int, is_late: Callable[[], bool] =
     if not 1 <= limit <= LARGEST_LATTICE // 8:
         raise InputError(f"{limit} states; must be between 1 and {LARGEST_LATTICE // 8}", "state limit")
     parts = tuple(members(problem.root))
-    masks = hindrances(problem)
+    masks = problem.hindered_by
     expand: Callable[[Words, int], _Layer | None]
     if masks is None:
 

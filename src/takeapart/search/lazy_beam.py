@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from takeapart.search.inquiry import Edge
+from takeapart.search.edge_queries import Edge
 from takeapart.search.lattice_bounds import TOLERANCE
 from takeapart.search.orders import Orders
 
@@ -31,16 +31,16 @@ def lazy_beam(orders: Orders, width: int) -> None:
     while True:
         length, edges = _best_sequence(orders, width, orders.bounds.lower)
         open_edges = [edge for edge in edges if not orders.bounds.is_closed(*edge)]
-        if length < orders.log.best[0] - TOLERANCE and not open_edges:
+        if length < orders.session.best[0] - TOLERANCE and not open_edges:
             orders.offer([part for _, part in edges])
-        if length >= orders.log.best[0] - TOLERANCE or not open_edges:
+        if length >= orders.session.best[0] - TOLERANCE or not open_edges:
             return
         count = max(orders.batch, len(open_edges) // PATIENCE)
-        orders.inquiry.ask(orders.telling(open_edges, count))
+        orders.edge_queries.ask(orders.telling(open_edges, count))
         if all(math.isfinite(orders.bounds.upper(*edge)) for edge in edges):
             orders.offer([part for _, part in edges])
         length, edges = _best_sequence(orders, width, orders.bounds.upper)
-        if length < orders.log.best[0] - TOLERANCE:
+        if length < orders.session.best[0] - TOLERANCE:
             orders.offer([part for _, part in edges])
 
 
@@ -50,12 +50,12 @@ def _best_sequence(orders: Orders, width: int, cost: Callable[[int, int], float]
     Raises:
         BudgetSpentError: the seconds are over.
     """
-    problem = orders.log.problem
+    problem = orders.session.problem
     least = orders.least_costs()
     layer: dict[int, float] = {problem.root: 0.0}  # length so far beyond the least costs of the parts gone, m
     came_by: dict[int, Edge] = {}
     while layer and 0 not in layer:
-        orders.log.look_at_clock()
+        orders.session.look_at_clock()
         kept = sorted(layer, key=lambda state: (layer[state], state))[:width]
         following: dict[int, float] = {}
         for state in kept:

@@ -10,114 +10,20 @@ sibling; and what is explored to the end (complete, dead, or all children so) is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from takeapart.errors import InputError, UnknownNameError
+from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.problem import Guide, Problem
-from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal
-from takeapart.search.result import Budget, Clock, Progress, ProgressListener, SearchResult
-
-MAXIMUM_REFUSALS = 10  # dead ends in a result; enough to explain a failure, few enough to read
-
-SECOND_LOOK = Effort(attempts=8)
-"""At parts that found no path in a dead end, before it is believed: the last attempts grow larger trees."""
-
-TransitionObserver = Callable[[int, int, float, int, Sequence[int]], None]
-"""Called with (state, part, reward in m, next state, its candidates) for every removal that a query returned."""
+from takeapart.removal.result import Blocked, Effort, Removal
+from takeapart.search.result import Budget, ProgressListener, SearchResult
+from takeapart.search.session import BudgetSpentError, Session, TransitionObserver
 
 StateGuide = Callable[[int], Mapping[int, float]]
 """A guide for one state: Q-value of every candidate part, m."""
-
-
-class BudgetSpentError(Exception):
-    """Leaves a search from any depth once its budget is spent; no search lets it out."""
-
-
-class Logbook:
-    """What every search keeps beside its own structure: budget, best sequence, dead ends; it also does the asking.
-
-    Args:
-        observe: is told every planned transition.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        budget: Budget,
-        listen: ProgressListener | None = None,
-        observe: TransitionObserver | None = None,
-    ) -> None:
-        self.problem, self.listen, self.observe = problem, listen, observe
-        self.clock = Clock(budget, problem.counts)
-        self.best: tuple[float, tuple[Removal, ...]] = (math.inf, ())  # one value, so that no interrupt can tear it
-        self.bound = -math.inf
-        self.dead_ends: dict[int, tuple[Blocked, ...]] = {}
-        self.statistics: dict[str, float] = {}
-
-    def ask(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
-        """The removal query.
-
-        Raises:
-            BudgetSpentError: nothing was asked because the budget is spent, or the time was over before the answer.
-        """
-        if self.clock.spent():
-            raise BudgetSpentError
-        try:
-            answer = self.problem.remove(state, part, replace(effort, is_late=self.clock.late))
-        except OutOfTimeError:
-            raise BudgetSpentError from None
-        if self.observe is not None and isinstance(answer, Removal):
-            following = state & ~(1 << part)
-            self.observe(state, part, -answer.length, following, self.problem.candidates(following))
-        return answer
-
-    def look_at_clock(self) -> None:
-        """Raises BudgetSpentError if the time is over; for work that asks nothing."""
-        if self.clock.late():
-            raise BudgetSpentError
-
-    def offer(self, removals: Sequence[Removal], **found_at: float) -> float:
-        """Take note of a complete sequence; `found_at` goes to the statistics if it is the best. Returns its length."""
-        length = sum(removal.length for removal in removals)
-        self.statistics.setdefault("initial_length", length)
-        if length < self.best[0]:
-            self.best = (length, tuple(removals))
-            self.statistics |= {"shortest_length": length, **found_at}
-            self.report()
-        return length
-
-    def second_look(self, state: int, refusals: Iterable[Blocked]) -> Iterator[Removal]:
-        """What may leave a dead end after all: before it is believed, parts without a path are planned anew, harder."""
-        for refusal in refusals:
-            if refusal.stage == "path":
-                answer = self.ask(state, refusal.part, SECOND_LOOK)
-                if isinstance(answer, Removal):
-                    yield answer
-
-    def dead_end(self, state: int, refusals: Iterable[Blocked]) -> None:
-        """Take note of a state with parts left and none removable."""
-        self.dead_ends.setdefault(state, tuple(refusals))
-
-    def report(self) -> None:
-        """Tell the listener."""
-        if self.listen is not None:
-            clock = self.clock
-            length, removals = self.best
-            self.listen(Progress(clock.episodes, length, self.bound, clock.queries, clock.seconds, removals))
-
-    def result(self, interrupted: bool, sequence_bound: float | None = None) -> SearchResult:
-        """Best sequence; without one, the deepest dead ends."""
-        length, removals = self.best
-        refusals: tuple[tuple[int, tuple[Blocked, ...]], ...] = ()
-        if math.isinf(length):
-            deepest_first = sorted(self.dead_ends.items(), key=lambda item: (item[0].bit_count(), item[0]))
-            refusals = tuple(deepest_first[:MAXIMUM_REFUSALS])
-        self.statistics["episodes"] = self.clock.episodes
-        return SearchResult(removals, length, sequence_bound, refusals, dict(self.statistics), interrupted)
 
 
 @dataclass(frozen=True)
@@ -223,8 +129,8 @@ def uct_values(node: Node, extremes: tuple[float, float], exploration: float) ->
 class TreeSearch:
     """Tree and random decisions of one run of `mcts`."""
 
-    def __init__(self, problem: Problem, options: MctsOptions, log: Logbook, rng: np.random.Generator) -> None:
-        self.problem, self.options, self.log, self.rng = problem, options, log, rng
+    def __init__(self, problem: Problem, options: MctsOptions, session: Session, rng: np.random.Generator) -> None:
+        self.problem, self.options, self.session, self.rng = problem, options, session, rng
         fresh = options.memory == "paper"
         self.expansion = Effort(attempts=options.attempts, fresh=fresh)
         self.simulation = Effort(attempts=1, fresh=fresh)
@@ -239,7 +145,7 @@ class TreeSearch:
         while not current.closed:
             step += 1
             self.steps += 1
-            found_at = {"found_episode": self.log.clock.episodes + 1, "found_step": step}
+            found_at = {"found_episode": self.session.clock.episodes + 1, "found_step": step}
             for _ in range(self.options.search_budget):
                 self.iterate(current, guide, found_at)
             if any(not child.closed for child in current.children):
@@ -255,7 +161,7 @@ class TreeSearch:
                 node = self.select(node)
             elif (child := self.expand(node)) is not None:
                 rollout = self.simulate(child.state, guide)
-                length = self.log.offer([*child.path(), *rollout], **found_at) if rollout is not None else math.inf
+                length = self.session.offer([*child.path(), *rollout], **found_at) if rollout is not None else math.inf
                 self.backpropagate(child, -length)
                 self.close_if_explored(child)
                 return
@@ -269,7 +175,7 @@ class TreeSearch:
     def expand(self, node: Node) -> Node | None:
         """Plan the removal of a random untried part: the new child, or None (and perhaps a closed node) if blocked."""
         part = node.untried[int(self.rng.integers(len(node.untried)))]
-        answer = self.log.ask(node.state, part, self.expansion)
+        answer = self.session.ask(node.state, part, self.expansion)
         node.untried.remove(part)
         if isinstance(answer, Blocked):
             node.refusals.append(answer)
@@ -287,16 +193,16 @@ class TreeSearch:
         while state:
             refusals: list[Blocked] = []
             for part in self.preferences(state, guide):
-                answer = self.log.ask(state, part, self.simulation)
+                answer = self.session.ask(state, part, self.simulation)
                 if isinstance(answer, Removal):
                     removals.append(answer)
                     state &= ~(1 << part)
                     break
                 refusals.append(answer)
             else:
-                again = None if self.simulation.fresh else next(self.log.second_look(state, refusals), None)
+                again = None if self.simulation.fresh else next(self.session.second_look(state, refusals), None)
                 if again is None:
-                    self.log.dead_end(state, refusals)
+                    self.session.dead_end(state, refusals)
                     return None
                 removals.append(again)
                 state &= ~(1 << again.part)
@@ -326,7 +232,7 @@ class TreeSearch:
         while above is not None and not above.untried and all(child.closed for child in above.children):
             above.closed = True
             if above.state and not above.children:
-                self.log.dead_end(above.state, above.refusals)
+                self.session.dead_end(above.state, above.refusals)
             above = above.parent
 
 
@@ -362,25 +268,26 @@ def mcts(
     Returns:
         the best complete sequence seen in any simulation. Statistics as in Table I: initial_length, shortest_length,
         m, found_episode, found_step (from 1; all four missing if no sequence was found), episodes, steps; and nodes,
-        explored (1 if the whole tree was searched: where nothing was found then, no order exists).
+        explored (1 if the whole tree was searched: where nothing was found then, the result is infeasible).
     """
-    log = Logbook(problem, budget, listen, observe)
-    search = TreeSearch(problem, options, log, rng)
+    session = Session(problem, budget, listen, observe)
+    search = TreeSearch(problem, options, session, rng)
     value = _remembered(guide) if guide is not None else None
     interrupted, idle = False, 0
     if problem.root == 0:
-        log.offer([])
+        session.offer([])
     try:
         search.close_if_explored(search.root)
-        while not search.root.closed and not log.clock.spent() and idle < options.patience:
-            before = (log.clock.queries, log.best[0])
+        while not search.root.closed and not session.clock.spent() and idle < options.patience:
+            before = (session.clock.queries, session.best[0])
             search.episode(value)
-            log.clock.episodes += 1
-            idle = idle + 1 if before == (log.clock.queries, log.best[0]) else 0
-            log.report()
+            session.clock.episodes += 1
+            idle = idle + 1 if before == (session.clock.queries, session.best[0]) else 0
+            session.report()
     except BudgetSpentError:
         pass
     except KeyboardInterrupt:
         interrupted = True
-    log.statistics |= {"steps": search.steps, "nodes": search.nodes, "explored": float(search.root.closed)}
-    return log.result(interrupted)
+    session.statistics |= {"steps": search.steps, "nodes": search.nodes, "explored": float(search.root.closed)}
+    session.infeasible = search.root.closed and math.isinf(session.best[0])
+    return session.result(interrupted)

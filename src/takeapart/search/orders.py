@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from takeapart.assembly import members
-from takeapart.problem import Guide
-from takeapart.removal.bounds import EdgeBounds
-from takeapart.search.inquiry import Edge, Inquiry, refusals_in
-from takeapart.search.lattice import hindrances
-from takeapart.search.mcts import Logbook
+from takeapart.model.assembly import members
+from takeapart.search.edge_queries import Edge, refusals_in
+from takeapart.search.lazy_edges import LazyEdges, telling
 
 
 class DeadEndError(Exception):
@@ -24,10 +21,11 @@ class Orders:
         batch: edges asked at a time.
     """
 
-    def __init__(self, log: Logbook, bounds: EdgeBounds, inquiry: Inquiry, batch: int, guide: Guide | None) -> None:
-        self.log, self.bounds, self.inquiry, self.batch, self.guide = log, bounds, inquiry, batch, guide
-        self.masks = hindrances(log.problem)
-        self.smallest = smallest_states(log.problem.root, self.masks)
+    def __init__(self, lazy: LazyEdges, batch: int) -> None:
+        self.lazy, self.batch, self.guide = lazy, batch, lazy.guide
+        self.session, self.bounds, self.edge_queries = lazy.session, lazy.bounds, lazy.edge_queries
+        self.masks = self.session.problem.hindered_by
+        self.smallest = smallest_states(self.session.problem.root, self.masks)
 
     def least_costs(self) -> dict[int, float]:
         """Per part what it costs at least wherever it leaves, m."""
@@ -35,25 +33,18 @@ class Orders:
 
     def offer(self, order: Sequence[int]) -> None:
         """Take note of an order with the best removals known by now."""
-        state, removals = self.log.problem.root, []
+        state, removals = self.session.problem.root, []
         for part in order:
             removal = self.bounds.best(state, part)
             if removal is None:
                 return
             removals.append(removal)
             state &= ~(1 << part)
-        self.log.offer(removals, found_episode=self.log.clock.episodes)
-
-    def doubt(self, state: int) -> dict[int, float]:
-        """Per candidate, how much worse than the best one the guide takes it to be, m; empty without a guide."""
-        if self.guide is None:
-            return {}
-        values = self.guide([state])[0]
-        return {part: max(values.values()) - value for part, value in values.items()}
+        self.session.offer(removals, found_episode=self.session.clock.episodes)
 
     def dead_end(self, state: int) -> None:
         """Take note of a state with parts left and none removable, and of what blocks it."""
-        self.log.dead_end(state, refusals_in(self.log.problem, self.bounds, state))
+        self.session.dead_end(state, refusals_in(self.session.problem, self.bounds, state))
 
     def meet_dead_end(self, state: int) -> None:
         """Take note of a dead end; raises DeadEndError where it proves that there is no order."""
@@ -63,14 +54,11 @@ class Orders:
 
     def is_dead_end(self, state: int) -> bool:
         """Whether every part is known to be blocked."""
-        return all(math.isinf(self.bounds.lower(state, part)) for part in self.log.problem.candidates(state))
+        return all(math.isinf(self.bounds.lower(state, part)) for part in self.session.problem.candidates(state))
 
     def telling(self, edges: Sequence[Edge], count: int) -> list[Edge]:
-        """Of the edges of a sequence, half the most uncertain ones and half those nearest the goal (see `exact`)."""
-        last = count // 2
-        near, others = (edges[-last:], edges[:-last]) if last else ([], edges)
-        uncertain = sorted(others, key=lambda edge: self.bounds.lower(*edge) - self.bounds.upper(*edge))
-        return [*uncertain[: count - last], *near]
+        """Of the edges of a sequence those that say most, see `takeapart.search.lazy_edges.telling`."""
+        return telling(edges, count, lambda edge: (self.bounds.upper(*edge) - self.bounds.lower(*edge),))
 
 
 def smallest_states(root: int, masks: Sequence[int] | None) -> dict[int, int]:

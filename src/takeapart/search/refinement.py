@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.errors import InputError
+from takeapart.model.errors import InputError
 from takeapart.removal.bounds import ClosedEdge, EdgeBounds
-from takeapart.search.inquiry import Edge
+from takeapart.search.edge_queries import Edge
 from takeapart.search.lattice import Lattice, Values
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
 

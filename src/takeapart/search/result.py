@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from takeapart.errors import InputError
-from takeapart.problem import Counts
+from takeapart.model.errors import InputError
 from takeapart.removal.result import Blocked, Removal
 
 
@@ -30,41 +28,6 @@ class Budget:
         for name in ("episodes", "seconds", "queries"):
             if not getattr(self, name) > 0:
                 raise InputError(f"{getattr(self, name)}; must be above 0", f"budget.{name}")
-
-
-class Clock:
-    """Tells when a budget is spent. `stop` ends the search from outside, as Ctrl-C does.
-
-    Attributes:
-        reserve: of the seconds, those that are kept for what follows the search: bringing its bound up to date.
-    """
-
-    def __init__(self, budget: Budget, counts: Counts) -> None:
-        self.budget, self.counts = budget, counts
-        self.started, self.first_query, self.episodes = time.monotonic(), counts.removal_queries, 0
-        self.stop = False
-        self.reserve = 0.0
-
-    @property
-    def seconds(self) -> float:
-        return time.monotonic() - self.started
-
-    @property
-    def queries(self) -> int:
-        return self.counts.removal_queries - self.first_query
-
-    def spent(self) -> bool:
-        return self.late() or self.episodes >= self.budget.episodes or self.queries >= self.budget.queries
-
-    def late(self) -> bool:
-        """Whether the seconds but the reserve are over, or the search was stopped: ends queries, and work that asks
-        nothing.
-        """
-        return self.stop or self.seconds >= self.budget.seconds - self.reserve
-
-    def over(self) -> bool:
-        """Whether all seconds are over, or the search was stopped."""
-        return self.stop or self.seconds >= self.budget.seconds
 
 
 @dataclass(frozen=True)
@@ -97,6 +60,7 @@ class SearchResult:
             none.
         refusals: where the search found no sequence, what blocked it: per dead end its state and refusals.
         statistics: numbers for tables ("initial_length", "found_episode", "found_step", ...).
+        infeasible: proved that no order exists, for the removals that the planner finds.
         interrupted: stopped by Ctrl-C.
         history: queries so far, shortest length and bound, m, wherever one of the lengths changed; infinite where not
             known.
@@ -107,6 +71,7 @@ class SearchResult:
     sequence_bound: float | None = None
     refusals: tuple[tuple[int, tuple[Blocked, ...]], ...] = ()
     statistics: dict[str, float] = field(default_factory=dict)
+    infeasible: bool = False
     interrupted: bool = False
     history: tuple[tuple[int, float, float], ...] = ()
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from takeapart.description import ArmDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.description import ArmDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.chain import arm_chain
 from takeapart.robot.describe.groups import group, is_gripper, longest_chain
 from takeapart.robot.urdf import Urdf

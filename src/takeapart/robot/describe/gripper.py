@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from takeapart.description import GripperDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array, quaternion_from_rotation
+from takeapart.model.description import GripperDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, quaternion_from_rotation
 from takeapart.robot.describe.arm import NOT_A_BASE, file_name, root_of
 from takeapart.robot.describe.groups import Group, group
 from takeapart.robot.urdf import Urdf, collisions

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from takeapart.description import ArmDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.description import ArmDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.chain import Body, Chain, arm_chain
 from takeapart.robot.covering import body_hulls
 from takeapart.robot.self_collision import always_touching, relative_pose

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from takeapart.description import ArmDescription
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.description import ArmDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.ik_solver import brought_solver, listed_solvers
 from takeapart.robot.urdf import read_urdf
 

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.kept import keep, kept
 from takeapart.robot.urdf.tree import Geometry, Urdf
 

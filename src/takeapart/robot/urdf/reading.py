@@ -18,9 +18,9 @@ from xml.parsers import expat
 
 import numpy as np
 
-from takeapart.description import RobotFiles
-from takeapart.errors import InputError
-from takeapart.geometry import Array
+from takeapart.model.description import RobotFiles
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array
 from takeapart.robot.urdf.tree import Geometry, Joint, Link, Mimic, Urdf
 
 MAXIMUM_BYTES = 32 * 2**20

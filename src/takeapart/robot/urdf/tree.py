@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from takeapart.description import RobotFiles
-from takeapart.errors import InputError, UnknownNameError
-from takeapart.geometry import Array
+from takeapart.model.description import RobotFiles
+from takeapart.model.errors import InputError, UnknownNameError
+from takeapart.model.geometry import Array
 
 TURNING = ("revolute", "continuous")
 KINDS = ("fixed", "revolute", "continuous", "prismatic")

@@ -1,0 +1,123 @@
+"""What the command line says of a plan, or of why there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from takeapart.cli.output import EXIT_INFEASIBLE, EXIT_INTERRUPTED, metres, note, print_json, print_table
+from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE
+
+if TYPE_CHECKING:
+    from takeapart.model.plan import Plan
+    from takeapart.planning import Hindrance, Infeasible
+
+
+NOT_VERIFIED = f"all numbers are {STATED}; takeapart verify checks what it can and lists the rest"
+
+
+def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:
+    """Writes a plan, or says why there is none and ends the command."""
+    from takeapart.formats.files import save_plan
+    from takeapart.model.plan import Plan
+
+    if not isinstance(made, Plan):
+        if as_json:
+            print_json(_infeasible_document(made, interrupted))
+        note("interrupted before any plan was found; nothing was written" if interrupted else str(made))
+        raise click.exceptions.Exit(EXIT_INTERRUPTED if interrupted else EXIT_INFEASIBLE)
+    save_plan(made, out)
+    if interrupted:
+        note(f"interrupted; the best plan so far was written to {out}")
+    return made
+
+
+def _infeasible_document(made: Infeasible, interrupted: bool) -> dict[str, object]:
+    return {
+        "feasible": False,
+        "interrupted": interrupted,
+        "proved": made.proved,
+        "remaining": list(made.remaining),
+        "hindrances": [hindrance_document(hindrance) for hindrance in made.hindrances],
+    }
+
+
+def hindrance_document(hindrance: Hindrance) -> dict[str, object]:
+    """Why a part cannot leave, for machines."""
+    reason = hindrance.reason
+    return {
+        "part": hindrance.part,
+        "stage": reason.stage,
+        "cause": reason.cause,
+        "text": reason.text,
+        "numbers": dict(reason.numbers),
+        "hits": dict(reason.hits),
+        "blamed": list(reason.blamed),
+    }
+
+
+def gap(length: float, bound: float | None) -> float | None:
+    """(length - bound) / bound; None where there is no bound."""
+    return (length - bound) / bound if bound else None
+
+
+def plan_summary(plan: Plan) -> dict[str, object]:
+    """What a plan says, without its paths."""
+    return {
+        "assembly": plan.assembly,
+        "workcell": plan.workcell,
+        "direction": plan.direction,
+        "order": [{"part": step.part, "length": step.length} for step in plan.steps],
+        "total_length": plan.total_length,
+        "straight_line_bound": plan.straight_line_bound,
+        "proved_gap": gap(plan.total_length, plan.straight_line_bound),
+        "sequence_bound": plan.sequence_bound,
+        "sequence_gap": gap(plan.total_length, plan.sequence_bound),
+        "counts": plan.counts,
+        "seconds": plan.seconds,
+        "seed": plan.seed,
+        "search": plan.search,
+    }
+
+
+def print_plan(plan: Plan, sizes: dict[str, str] | None = None, stated: bool = False) -> None:
+    """The order of a plan with the gripper path of every part, and the totals.
+
+    Args:
+        plan: what is printed.
+        sizes: of the parts by their names, if the assembly is known.
+        stated: whether the plan comes from a file, which may state anything; its numbers are marked then.
+    """
+    columns = [">step", "part", *(["size, mm"] if sizes else []), ">gripper path", ">waypoints"]
+    rows = [
+        [
+            str(number),
+            step.part,
+            *([sizes.get(step.part, "?")] if sizes else []),
+            metres(step.length),
+            str(len(step.joint_path)),
+        ]
+        for number, step in enumerate(plan.steps, 1)
+    ]
+    print_table(f"{plan.direction} of {plan.assembly} in workcell {plan.workcell}", columns, rows)
+    mark = ", stated" if stated else ""
+    click.echo(f"\ntotal gripper path   {metres(plan.total_length)}{mark}")
+    proved = _gap_text("proved gap", gap(plan.total_length, plan.straight_line_bound), STRAIGHT_LINE)
+    click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{mark}{proved}")
+    if plan.sequence_bound is not None:
+        relative = _gap_text("sequence gap", gap(plan.total_length, plan.sequence_bound), SEQUENCE)
+        click.echo(f"sequence bound       {metres(plan.sequence_bound)}{mark}{relative}")
+        click.echo(f"which gap to believe {BELIEVE}")
+    counts = plan.counts
+    click.echo(
+        f"search               {plan.search.get('name', 'unknown')}, seed {plan.seed}: {plan.seconds:.1f} s, "
+        f"{counts.get('removal_queries', 0)} removal queries, {counts.get('motion_plans', 0)} motion plans{mark}"
+    )
+    if stated:
+        click.echo(f"not verified         {NOT_VERIFIED}")
+
+
+def _gap_text(kind: str, share: float | None, basis: str) -> str:
+    return "" if share is None else f"  ({kind} {share:.1%}; {basis})"

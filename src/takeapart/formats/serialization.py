@@ -1,0 +1,208 @@
+"""Assemblies, plans and workcells as plain data, and the hashes of what a plan was made for.
+
+Lengths are rounded to 1e-9 m, angles to 1e-9 rad, orientations to nine decimals: compact, the same on every machine,
+and what is loaded and saved again gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from takeapart.formats.documents import canonical_json, read_bytes
+from takeapart.model.assembly import Assembly
+from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription
+from takeapart.model.errors import InputError
+from takeapart.model.geometry import Array, Box, OrientedBox, Shape, pose, quaternion_from_rotation
+from takeapart.model.plan import Plan
+from takeapart.workcell import Workcell
+
+DECIMALS = 9
+MAXIMUM_URDF_BYTES = 32 * 2**20
+
+Document = dict[str, Any]
+
+
+def assembly_hash(assembly: Assembly) -> str:
+    """SHA-256 of all that matters for planning: name, parts, connectors; not witness and provenance."""
+    document = assembly_document(assembly)
+    return _hash({key: value for key, value in document.items() if key not in ("witness", "provenance")})
+
+
+def workcell_hash(workcell: Workcell) -> str:
+    """SHA-256 of the workcell's data."""
+    return _hash(
+        {
+            "version": 1,
+            "name": workcell.name,
+            "goal": _numbers(workcell.goal),
+            "lift_height": _number(workcell.lift_height),
+            "clearance": _number(workcell.clearance),
+            "robot": {
+                "description": _description_document(workcell.description),
+                "base": _pose_document(workcell.T_world_base),
+                "home": _numbers(workcell.home),
+                "payload": _number(workcell.payload),
+                "gripping_force": _number(workcell.gripping_force),
+                "friction": _number(workcell.friction),
+            },
+            "environment": [{"name": o.name, **_box_document(o.box)} for o in workcell.environment],
+        }
+    )
+
+
+def _description_document(description: RobotDescription) -> Document:
+    """What an arm and a gripper are, wherever their files are; of the URDF files the content counts."""
+
+    def part(data: ArmDescription | GripperDescription) -> Document:
+        document = {key: value for key, value in asdict(data).items() if key != "files"}
+        document["urdf"] = hashlib.sha256(read_bytes(data.files.urdf, MAXIMUM_URDF_BYTES)).hexdigest()
+        rounded: Document = _rounded(document)
+        return rounded
+
+    return {
+        "arm": part(description.arm),
+        "gripper": part(description.gripper),
+        "mount": _numbers(description.flange_gripper),
+    }
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return _number(value) if isinstance(value, float) else value
+
+
+def motion_hash(plan: Plan) -> str:
+    """SHA-256 of what a plan has the arm do, whichever way round it is told: assembly, workcell and steps."""
+    removals = plan if plan.direction == "disassembly" else plan.inverted()
+    document = _plain(plan_document(removals))  # a plan with numbers missing is refused by the verification, not here
+    return _hash({key: document[key] for key in ("assembly", "workcell", "hashes", "steps")})
+
+
+def _hash(document: Document) -> str:
+    data = {key: value for key, value in document.items() if key != "format"}
+    return hashlib.sha256(canonical_json(data).encode()).hexdigest()
+
+
+def _number(value: float) -> float:
+    return round(float(value), DECIMALS) + 0.0  # + 0.0: no minus zero
+
+
+def _numbers(values: ArrayLike) -> list[Any]:
+    rounded: list[Any] = (np.round(np.asarray(values, dtype=float), DECIMALS) + 0.0).tolist()
+    return rounded
+
+
+def _pose_document(T: Array) -> Document:
+    return {"position": _numbers(T[:3, 3]), "orientation": _orientation(T[:3, :3])}
+
+
+def _orientation(R: Array) -> list[float]:
+    """Rounded quaternion of a rotation, chosen so that it comes back unchanged when it is loaded and saved again.
+
+    Loading normalises, which can move the last decimal; every such move brings the norm closer to 1, so this ends.
+    """
+    rounded = _numbers(quaternion_from_rotation(R))
+    for _ in range(10):
+        again = _numbers(quaternion_from_rotation(pose(quaternion=rounded)[:3, :3]))
+        if again == rounded:
+            break
+        rounded = again
+    return rounded
+
+
+def _box_document(box: OrientedBox) -> Document:
+    return {"size": _numbers(2 * box.half_extents), **_pose_document(box.T_frame_box)}
+
+
+def _shape_document(shape: Shape, where: str) -> Document:
+    if not isinstance(shape, Box):
+        raise InputError(f"a shape of type {type(shape).__name__} has no file format yet; valid: Box", where)
+    return {"kind": "box", "size": _numbers(shape.size)}
+
+
+def assembly_document(assembly: Assembly) -> Document:
+    """The assembly as its file holds it."""
+    return {
+        "format": "takeapart/assembly",
+        "version": 1,
+        "name": assembly.name,
+        "parts": [
+            {
+                "name": part.name,
+                "shape": _shape_document(part.shape, f"{assembly.name}: parts[{i}].shape"),
+                "pose": _pose_document(part.T_world_part),
+                "mass": _number(part.mass),
+                "fixed": bool(part.fixed),
+            }
+            for i, part in enumerate(assembly.parts)
+        ],
+        "connectors": [
+            {
+                "name": connector.name,
+                "kind": connector.kind,
+                "host": connector.host,
+                "guest": connector.guest,
+                "walls": [_box_document(wall) for wall in connector.walls],
+            }
+            for connector in assembly.connectors
+        ],
+        "witness": list(assembly.witness),
+        "provenance": _plain(assembly.provenance),
+    }
+
+
+def plan_document(plan: Plan) -> Document:
+    """The plan as its file holds it."""
+    document = {
+        "format": "takeapart/plan",
+        "version": 1,
+        "assembly": plan.assembly,
+        "workcell": plan.workcell,
+        "direction": plan.direction,
+        "total_length": _number(plan.total_length),
+        "straight_line_bound": _number(plan.straight_line_bound),
+        "sequence_bound": None if plan.sequence_bound is None else _number(plan.sequence_bound),
+        "counts": _plain(plan.counts),
+        "seconds": _number(plan.seconds),
+        "seed": int(plan.seed),
+        "search": _plain(plan.search),
+        "hashes": _plain(plan.hashes),
+        "versions": _plain(plan.versions),
+        "steps": [
+            {
+                "part": step.part,
+                "grasp": {
+                    "center": _numbers(step.grasp.center),
+                    "orientation": _numbers(step.grasp.orientation),
+                    "width": _number(step.grasp.width),
+                },
+                "joint_path": _numbers(step.joint_path),
+                "tool_path": _numbers(step.tool_path),
+                "length": _number(step.length),
+            }
+            for step in plan.steps
+        ],
+    }
+    return {**document, "extra": _plain(plan.extra)} if plan.extra else document
+
+
+def _plain(value: Any) -> Any:
+    """Values as JSON knows them; what is infinite or not a number (a budget without limit) becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(child) for key, child in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(child) for child in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

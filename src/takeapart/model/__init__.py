@@ -1,0 +1,1 @@
+"""The data: shapes, assemblies, plans, and the checks that make them trustworthy."""

@@ -1,0 +1,1 @@
+"""A plan in one file for the browser, which needs nothing else."""

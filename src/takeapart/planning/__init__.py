@@ -1,0 +1,41 @@
+"""From an assembly and a workcell to a plan: the one call that most users need, and runs that survive a kill."""
+
+from takeapart.planning.plans import (
+    Hindrance,
+    Infeasible,
+    PlanningOptions,
+    Recorder,
+    blocked_parts,
+    build_problem,
+    explain,
+    infeasible_of,
+    of_candidates,
+    plan,
+    plan_in_run,
+    plan_of,
+    run_identity,
+    search,
+    sources_digest,
+    versions,
+)
+from takeapart.search.registry import SEARCHES
+
+__all__ = [
+    "SEARCHES",
+    "Hindrance",
+    "Infeasible",
+    "PlanningOptions",
+    "Recorder",
+    "blocked_parts",
+    "build_problem",
+    "explain",
+    "infeasible_of",
+    "of_candidates",
+    "plan",
+    "plan_in_run",
+    "plan_of",
+    "run_identity",
+    "search",
+    "sources_digest",
+    "versions",
+]

@@ -1,0 +1,1 @@
+"""What is shown of a plan, and how it looks: shared by viewer, page, pictures and report."""
