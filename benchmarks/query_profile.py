@@ -1,4 +1,4 @@
-"""Where the time of a removal query goes. ``python -m takeapart.experiments.query_profile``.
+"""Where the time of a removal query goes. ``python benchmarks/query_profile.py``.
 
 The stages are wrapped by timers of processor time; what a stage calls counts for the callee alone.
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from takeapart.experiments.speed import new_problem, random_edges
+from speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.removal import goals, paths, planner, reach, situation
