@@ -32,6 +32,7 @@ formats.documents
 formats.shipped
 formats.robot_schemas
 formats.robot_files
+formats.robot_writing
 formats.serialization
 formats.files
 formats.sources
@@ -47,16 +48,6 @@ motion
 removal
 problem
 search
-messages
-bound_texts
-schemas
-documents
-shipped
-robot_schemas
-robot_files
-serialization
-files
-sources
 guide
 planning
 verification

@@ -26,6 +26,7 @@ from takeapart.cli.plan import plan
 from takeapart.cli.render import render
 from takeapart.cli.report import report
 from takeapart.cli.reproduce import reproduce
+from takeapart.cli.robot import robot
 from takeapart.cli.train import train
 from takeapart.cli.verify import assemble, verify
 from takeapart.cli.view import view
@@ -132,6 +133,7 @@ for _command in (
     view,
     render,
     report,
+    robot,
     compare,
     train,
     reproduce,

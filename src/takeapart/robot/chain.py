@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,40 +111,47 @@ def robot_bodies(description: RobotDescription, chain: Chain) -> tuple[Body, ...
         InputError: a link of the arm's line, or the gripper's base, has no collision geometry.
     """
     arm, gripper = description.arm, description.gripper
-    urdf, hand = read_urdf(arm.files), read_urdf(gripper.files)
-    cut = frozenset(arm.left_out)
-    if hand.files.urdf == urdf.files.urdf:
-        cut |= {gripper.base_link}
+    hand = read_urdf(gripper.files)
+    cut = frozenset({gripper.base_link}) if gripper.files.urdf == arm.files.urdf else frozenset()
+    T_gripper = chain.T_last_flange @ description.T_flange_gripper
+    fixed = {name: T for name, T in hand.fixed_on(gripper.base_link).items() if hand.links[name].collisions}
+    if not fixed:
+        raise InputError(
+            f"the gripper's base {gripper.base_link!r} has no collision geometry, nor has what is fixed on it",
+            f"{gripper.name}: {hand.where}",
+        )
     last = len(chain.links) - 1
+    on_flange = (Body(hand, name, last, T_gripper @ T, False, True) for name, T in fixed.items())
+    return (*arm_bodies(arm, chain, cut), *on_flange)
+
+
+def arm_bodies(arm: ArmDescription, chain: Chain, cut: frozenset[str] = frozenset()) -> tuple[Body, ...]:
+    """The links of an arm that have collision geometry, and what is fixed on them, joint by joint.
+
+    Args:
+        cut: links that are left out besides `arm.left_out`, with all that hangs on them.
+
+    Raises:
+        InputError: a link of the arm's line has no collision geometry, nor has what is fixed on it.
+    """
+    urdf = read_urdf(arm.files)
+    cut |= frozenset(arm.left_out)
     line = {arm.base_link, *(joint.child for joint in urdf.path(arm.base_link, arm.flange_link))}
     found: list[Body] = []
     for frame, (link, T) in enumerate(zip(chain.links, chain.T_frame_link, strict=True)):
-        rigid = urdf.fixed_on(link, cut)
         bodies = [
             Body(urdf, name, frame, T @ T_link, name in line)
-            for name, T_link in rigid.items()
+            for name, T_link in urdf.fixed_on(link, cut).items()
             if urdf.links[name].collisions
         ]
         if not any(body.in_line for body in bodies):
-            # The base may be a link above: then only what stands between it and the first joint counts.
             raise InputError(
                 f"link {link!r} has no collision geometry, nor has what is fixed on it; "
                 "without it no motion can be checked",
                 f"{arm.name}: {urdf.where}",
             )
         found += bodies
-    T_gripper = chain.T_last_flange @ description.T_flange_gripper
-    fixed = _with_geometry(hand, hand.fixed_on(gripper.base_link))
-    if not fixed:
-        raise InputError(
-            f"the gripper's base {gripper.base_link!r} has no collision geometry, nor has what is fixed on it",
-            f"{gripper.name}: {hand.where}",
-        )
-    return (*found, *(Body(hand, name, last, T_gripper @ T, False, True) for name, T in fixed.items()))
-
-
-def _with_geometry(urdf: Urdf, links: Mapping[str, Array]) -> dict[str, Array]:
-    return {name: T for name, T in links.items() if urdf.links[name].collisions}
+    return tuple(found)
 
 
 def _align_z(axis: Array) -> Array:

@@ -4,12 +4,14 @@ the arm and pointing down.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from takeapart.model.description import RobotDescription
+from takeapart.model.description import ArmDescription
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array
-from takeapart.robot.chain import Chain, arm_chain, robot_bodies
+from takeapart.robot.chain import Body, Chain, arm_chain
 from takeapart.robot.covering import body_hulls
 from takeapart.robot.self_collision import always_touching, relative_pose
 from takeapart.robot.separation import separation
@@ -22,14 +24,18 @@ OUT, UP = 0.33, 0.5  # of the reach, where the tool should be in front of the sh
 LEAST_MANIPULABILITY = 0.05  # of the best that was sampled: below, a configuration counts as singular
 
 
-def find_home(description: RobotDescription) -> tuple[float, ...]:
+def find_home(arm: ArmDescription, bodies: Sequence[Body], T_flange_tool: Array) -> tuple[float, ...]:
     """A configuration at rest, rad, found by search; the same for every call.
+
+    Args:
+        bodies: of the arm and what is on its flange.
+        T_flange_tool: (4, 4) pose of the tool in the flange.
 
     Raises:
         InputError: none was found that is free of self-collision.
     """
-    chain = arm_chain(read_urdf(description.arm.files), description.arm)
-    T_tool = chain.T_last_flange @ description.T_flange_tool(description.maximum_opening)
+    chain = arm_chain(read_urdf(arm.files), arm)
+    T_tool = chain.T_last_flange @ T_flange_tool
     rng = np.random.default_rng(0)
     middle, span = 0.5 * (chain.lower + chain.upper), np.minimum(chain.upper - chain.lower, 2 * np.pi)
     lower, upper = middle - 0.5 * span, middle + 0.5 * span
@@ -47,9 +53,9 @@ def find_home(description: RobotDescription) -> tuple[float, ...]:
         better = found < known
         rows[better], known[better] = tried[better], found[better]
     for q in rows[np.argsort(known)]:
-        if least_gap(description, chain, q) >= LEAST_GAP:
+        if least_gap(bodies, chain, q) >= LEAST_GAP:
             return tuple(round(float(angle), 4) for angle in q)
-    raise InputError("no configuration at rest was found that is free of self-collision; state one", description.name)
+    raise InputError("no configuration at rest was found that is free of self-collision; state one", arm.name)
 
 
 def _frames(chain: Chain, rows: Array) -> list[Array]:
@@ -104,9 +110,8 @@ def _costs(chain: Chain, T_tool: Array, rows: Array, reach: float, best: float) 
     )
 
 
-def least_gap(description: RobotDescription, chain: Chain, q: Array) -> float:
+def least_gap(bodies: Sequence[Body], chain: Chain, q: Array) -> float:
     """Least distance of the convex hulls, m, of bodies with a joint between them that are no neighbours in a row."""
-    bodies = robot_bodies(description, chain)
     hulls = body_hulls(bodies)
     always = always_touching(hulls, chain.T_joint, chain.lower, chain.upper)
     scratch, least = np.zeros((5, 3)), np.inf
