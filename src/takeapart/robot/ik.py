@@ -50,9 +50,9 @@ class InverseKinematics:
         self._lower, self._upper = robot.arm.lower, robot.arm.upper
         self._middle = 0.5 * (self._lower + self._upper)
         self._turning = robot.arm.turning
-        T_tool = robot.arm.T_tool
         # Whether the last joint turns the tool about its own approach direction: both finger orders are then one.
-        self._turns_on_the_spot = bool(np.allclose(T_tool[:2, 3], 0, atol=1e-9) and np.isclose(T_tool[2, 2], 1))
+        tools = [robot.T_last_flange @ robot.T_flange_tool(opening) for opening in robot.description.gripper.openings]
+        self._turns_on_the_spot = all(np.allclose(T[:2, 3], 0, atol=1e-9) and np.isclose(T[2, 2], 1) for T in tools)
         # The library loads its machine code at its first call. A second thread that calls meanwhile gets an answer of
         # its interpreted code, which rounds otherwise: a plan would depend on which thread came first.
         self.solve(robot.tool_pose(np.zeros(robot.joints)))
