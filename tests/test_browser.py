@@ -18,10 +18,12 @@ import numpy as np
 import pytest
 
 from browser import PATIENCE, Opened, opened, wait_until
+from other_robots import BETWEEN_PADS, bar_case
 from shown_plans import small_scene, write_files
 from takeapart.formats.files import data_path, load_workcell
 from takeapart.model.errors import InputError
-from takeapart.page.standalone import MAXIMUM_BYTES, assembled, save_page
+from takeapart.page.standalone import MAXIMUM_BYTES, assembled, page, save_page
+from takeapart.show.facts import part_facts
 from takeapart.show.playback import GRIP, SPEEDS, TOOL_SPEED, USUAL_SPEED, Timeline
 from takeapart.show.scene import PlanScene
 from takeapart.viewer import Viewer
@@ -441,3 +443,31 @@ def test_search_is_told_while_it_runs(folder: Path) -> None:
         assert live._chart.data[1][-1] == pytest.approx(heard[-1].length)
     finally:
         viewer.close()
+
+
+def test_page_closes_a_gripper_whose_joints_follow_each_other(tmp_path: Path) -> None:
+    """A UR5e with a 2F-85: six joints, five of which follow the one that the opening sets."""
+    case = bar_case("ur5e")
+    scene = PlanScene(case.assembly, case.workcell, case.plan)
+    (tmp_path / "page.html").write_text(page(scene, part_facts(scene, [])), encoding="utf-8")
+    with opened((tmp_path / "page.html").as_uri(), 900, 640, offline=True) as found:
+        drawn(found)
+        found.keep("ur5e.png")
+        names = [link.name for link in scene.robot.links]
+        pads = [names.index(name) for name in case.workcell.description.gripper.finger_links]
+        for opening in (0.001, 0.011, 0.02, 0.0801, BETWEEN_PADS):
+            place = found.page.evaluate(
+                "([f, o]) => { const p = takeapart.player, q = p.timeline.configuration(0, f, p.data.home.length);"
+                "return p.arm.poses(q, o); }",
+                [0.6, opening],
+            )
+            T = scene.robot.poses(scene.moment(0, 0.6).configuration, opening)
+            shown = np.reshape(place, (-1, 4, 4))
+            assert np.allclose(shown, T, atol=2e-4)
+            left, right = shown[pads, :3, 3]
+            # The links' frames are as far further apart than the pads as they are where the gripper is wide open.
+            still = "o => takeapart.player.arm.poses([0, 0, 0, 0, 0, 0], o)"
+            wide = np.reshape(found.page.evaluate(still, BETWEEN_PADS), (-1, 4, 4))
+            apart = float(np.linalg.norm(np.subtract(*wide[pads, :3, 3])))
+            assert np.linalg.norm(left - right) == pytest.approx(apart - BETWEEN_PADS + opening, abs=1e-4)
+        assert found.errors == []

@@ -216,8 +216,9 @@ def _simplified_meshes(urdf: Urdf, shape: Geometry) -> list[Mesh]:
 
 
 def coarser(mesh: Mesh, cell: float) -> Mesh:
-    """The same mesh with less detail, for browsers and animations; cell in m."""
-    return simplified(np.asarray(mesh.vertices, dtype=float), mesh.faces, mesh.color, cell)
+    """The same mesh with less detail, for browsers and animations; cell in m. One that is smaller than that stays."""
+    found = simplified(np.asarray(mesh.vertices, dtype=float), mesh.faces, mesh.color, cell)
+    return found if len(found.faces) else mesh
 
 
 def simplified(
