@@ -18,13 +18,13 @@ import numpy as np
 from speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
-from takeapart.removal import goals, paths, planner, reach, situation
+from takeapart.removal import goals, grasps, paths, planner, reach, situation
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.loading import load_robot
 
 # What is timed: where it is looked up, its name there, what to call it.
 STAGES: tuple[tuple[Any, str, str], ...] = (
-    (reach, "grasp_candidates", "grasps of a part"),
+    (grasps, "grasp_candidates", "grasps of a part"),
     (reach, "hand_masks", "hands: what each grasp would hit"),
     (InverseKinematics, "_sampled", "inverse kinematics"),
     (InverseKinematics, "_within_limits", "inverse kinematics, near the limits"),

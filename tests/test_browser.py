@@ -24,7 +24,7 @@ from takeapart.formats.files import data_path, load_workcell
 from takeapart.model.errors import InputError
 from takeapart.page.standalone import MAXIMUM_BYTES, assembled, page, save_page
 from takeapart.show.facts import part_facts
-from takeapart.show.playback import GRIP, TOOL_SPEED, Timeline
+from takeapart.show.playback import GRIP, SPEEDS, TOOL_SPEED, USUAL_SPEED, Timeline
 from takeapart.show.scene import PlanScene
 from takeapart.viewer import Viewer
 from takeapart.viewer.drawing import box_mesh
@@ -86,6 +86,15 @@ def test_standalone_page_plays_from_disk_without_a_network(page_file: Path, fold
             )
             T = scene.robot.poses(scene.moment(k, 0.37).configuration, 0.037)
             assert np.allclose(np.reshape(place, (-1, 4, 4)), T, atol=2e-4), step.part
+        # It plays as the viewer does.
+        timeline = Timeline([float(scene.along(k)[-1]) for k in range(3)], scene.direction)
+        assert page.evaluate("takeapart.player.timeline.total") == pytest.approx(
+            timeline.total, abs=1e-3
+        )  # of a file, rounded
+        assert page.evaluate("takeapart.player.timeline.at(0.1).extra") == pytest.approx(timeline.at(0.1).extra)
+        assert page.locator("#speed option").all_inner_texts() == list(SPEEDS)
+        assert page.evaluate("[...document.querySelectorAll('#speed option')].map(o => +o.value)") == [*SPEEDS.values()]
+        assert page.locator("#speed").input_value() == f"{SPEEDS[USUAL_SPEED]:g}"
         assert all(url.startswith(("file:", "data:", "blob:")) for url in found.requests)
         assert found.errors == []
 

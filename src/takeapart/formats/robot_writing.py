@@ -122,18 +122,19 @@ def _relative(path: Path, folder: Path) -> str:
     return os.path.relpath(path.resolve(), folder.resolve())
 
 
-def _value(value: object) -> str:
+def _value(value: object, indent: str = "") -> str:
     """A value in TOML: texts as JSON has them, lists on one line where they fit."""
     if not isinstance(value, list | tuple):
         return json.dumps(value)
-    items = [_value(item) for item in value]
+    inner = indent + "  "
+    items = [_value(item, inner) for item in value]
     line = f"[{', '.join(items)}]"
-    if len(line) <= LINE and "\n" not in line:
+    if len(line) + len(indent) <= LINE and "\n" not in line:
         return line
     rows: list[str] = []
     for item in items:
         if rows and len(rows[-1]) + len(item) < LINE and not item.startswith("["):
             rows[-1] += f" {item},"
         else:
-            rows.append(f"  {item},")
-    return "[\n" + "\n".join(rows) + "\n]"
+            rows.append(f"{inner}{item},")
+    return "[\n" + "\n".join(rows) + f"\n{indent}]"

@@ -57,6 +57,23 @@ class ArmArrays(NamedTuple):
     held_bodies: Integers  # (Q,) bodies that what the gripper carries may touch
 
 
+class ChainArrays(NamedTuple):
+    """What the kinematics need of `ArmArrays`: a kernel that Python calls often takes no more arrays than it reads."""
+
+    T_world_base: Floats  # (3, 4)
+    T_joint: Floats  # (n, 3, 4)
+    T_tool: Floats  # (3, 4)
+
+
+class ChainFrames(NamedTuple):
+    """What the kinematics write of a `Workspace`."""
+
+    R: Floats  # (n + 1, 3, 3)
+    p: Floats  # (n + 1, 3)
+    R_tool: Floats  # (3, 3)
+    p_tool: Floats  # (3,)
+
+
 class HeldArrays(NamedTuple):
     """Boxes that move with the tool: what moves of the gripper, and the part it holds. Exact, no cover.
 

@@ -35,6 +35,7 @@ FIXED, CURRENT, PATH, GOAL = "#a3a8ae", "#f2683c", "#e4572e", "#2e9e6b"
 OTHERS = ("#4db6c6", "#f0bf4c", "#9a78cf", "#86b978", "#e08f8f", "#7f9cc0")  # roles that the table does not have
 STEEL = "#c9cdd2"  # obstacles
 
+TURNING = 0.05  # m per rad: what turning counts of the way of the tool, as it is shown
 FINGERS_OPEN = 0.02  # m, how much wider than the grasp the gripper is shown before it closes
 LARGEST_MISS = 0.01  # m, of the tool from where its path says; more is a corrupted plan
 LAYOUT_GAP = 0.035  # m, between parts that are laid out
@@ -253,7 +254,7 @@ def _along(tool_path: Array) -> Array:
     """Way of the tool (M,) up to each row, m, with the turning counted a little, so that it is seen."""
     moved = np.linalg.norm(np.diff(tool_path[:, :3], axis=0), axis=1)
     cosine = np.abs((tool_path[1:, 3:] * tool_path[:-1, 3:]).sum(axis=1)).clip(0, 1)
-    return np.concatenate([[0.0], np.cumsum(moved + 0.05 * 2 * np.arccos(cosine))])
+    return np.concatenate([[0.0], np.cumsum(moved + TURNING * 2 * np.arccos(cosine))])
 
 
 def _check(plan: Plan, steps: tuple[PlanStep, ...], assembly: Assembly, workcell: Workcell) -> None:

@@ -72,13 +72,12 @@ class Arm {
 }
 
 // ---------------------------------------------------------------- time: grip, move, let go, for every step
-const GRIP = 0.4, SPEED = 0.25, OPEN = 0.02;  // s, m/s, m
-
 class Timeline {
-  constructor(steps) {
-    this.steps = steps;
+  // playback: grip in s, tool_speed in m/s, fingers_open in m
+  constructor(steps, playback) {
+    this.steps = steps; this.playback = playback;
     this.starts = [0];
-    for (const step of steps) this.starts.push(this.starts.at(-1) + 2 * GRIP + step.along.at(-1) / SPEED);
+    for (const step of steps) this.starts.push(this.starts.at(-1) + 2 * playback.grip + step.along.at(-1) / playback.tool_speed);
     this.total = this.starts.at(-1);
   }
 
@@ -86,10 +85,11 @@ class Timeline {
   at(time) {
     let k = 0;
     while (k < this.steps.length - 1 && time >= this.starts[k + 1]) k++;
-    const t = time - this.starts[k], way = this.starts[k + 1] - this.starts[k] - 2 * GRIP;
-    const fraction = Math.min(Math.max((t - GRIP) / way, 0), 1);
-    const extra = t < GRIP ? OPEN * (1 - t / GRIP) : t > GRIP + way ? OPEN * Math.min((t - GRIP - way) / GRIP, 1) : 0;
-    return { step: k, fraction, extra };
+    const { grip, fingers_open } = this.playback;
+    const t = time - this.starts[k], way = this.starts[k + 1] - this.starts[k] - 2 * grip;
+    const fraction = Math.min(Math.max((t - grip) / way, 0), 1);
+    const opened = t < grip ? 1 - t / grip : t > grip + way ? Math.min((t - grip - way) / grip, 1) : 0;
+    return { step: k, fraction, extra: fingers_open * opened };
   }
 
   configuration(k, fraction, n) {
