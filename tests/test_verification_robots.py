@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from other_robots import BETWEEN_PADS, Case, Kinematics, bar_case, link_poses, pad_way, robot, tool_rows
+from takeapart.formats.robot_files import load_robot_description
 from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, pose
@@ -460,3 +461,27 @@ def test_no_primitive_of_an_arm_enters_a_box_unseen(tmp_path: Path) -> None:
             elif gap > 0.0031:
                 assert frozenset(("three", f"environment/{i}")) not in near
     assert all(count > 20 for count in hits.values()), hits
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e", "xarm7"])
+def test_the_shipped_descriptions_are_those_of_their_grippers(name: str) -> None:
+    """At 41 openings of the whole range, between the rows of the table too; their joints and their rest are allowed."""
+    try:
+        description = load_robot_description(name)
+        unchecked_pairs(description)
+    except InputError as error:
+        pytest.skip(str(error))
+    home = np.array(description.arm.home)
+    scene = Scene(scene_assembly(), replace(scene_workcell(), description=description, home=home), 0.003)
+    scene.show(0, None)
+    assert ((scene.joint_limits[:, 0] <= home) & (home <= scene.joint_limits[:, 1])).all()
+    pairs, distances = scene.near()
+    assert [(scene.label(a), scene.label(b)) for (a, b), d in zip(pairs, distances, strict=True) if d < 0] == []
+    openings = description.gripper.openings
+    for opening in np.linspace(openings[0], openings[-1], 41):
+        scene.open(float(opening))
+        scene.place(home)
+        assert not scene.joints.beyond_limits(float(opening))
+        for pad in scene.pads():
+            assert pad.distance == pytest.approx(opening / 2, abs=5e-5)
+            assert pad.tilt < math.radians(0.1)
