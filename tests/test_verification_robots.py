@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from other_robots import BETWEEN_PADS, Case, bar_case, link_poses, pad_way, robot, tool_rows
-from takeapart.model.description import GripperDescription, RobotDescription, RobotFiles
+from other_robots import BETWEEN_PADS, Case, Kinematics, bar_case, link_poses, pad_way, robot, tool_rows
+from takeapart.formats.robot_files import load_robot_description
+from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, pose
 from takeapart.model.plan import Plan
@@ -22,6 +23,7 @@ from takeapart.verification.report import Finding
 from takeapart.verification.robot import Joints, compiled, mujoco, robot_specification, unchecked_pairs
 from takeapart.verification.urdf import arm_branch, gripper_branch
 from takeapart.workcell import Obstacle, Workcell
+from verification_scene import scene_assembly, scene_workcell
 
 ROBOTS = ["panda", "ur5e", "xarm7", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gen3", "iiwa7"))]
 ARMS = ["ur5e", "xarm7"]
@@ -385,3 +387,101 @@ def test_a_base_stands_on_a_table_and_its_arm_may_not() -> None:
     beside = Obstacle("shelf", OrientedBox(pose(T[:3, 3] + [0.0, 0.0, 0.16]), np.array([0.2, 0.2, 0.02])))
     found = findings_of(case, case.plan, replace(case.workcell, environment=(beside,)))
     assert {"home", "collision"} <= {finding.check for finding in found}
+
+
+ARM_OF_PRIMITIVES = """<robot name="a">
+  <link name="base"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
+  <link name="one"><collision><origin xyz="0 0 0.2"/><geometry><box size="0.06 0.04 0.3"/></geometry></collision></link>
+  <link name="two"><collision><origin xyz="0 0 0.15" rpy="0.1 0 0"/>
+    <geometry><cylinder radius="0.03" length="0.24"/></geometry></collision></link>
+  <link name="three"><collision><origin xyz="0 0 0.05"/><geometry><sphere radius="0.04"/></geometry></collision></link>
+  <joint name="q1" type="revolute"><parent link="base"/><child link="one"/><origin xyz="0 0 0.1"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2"/></joint>
+  <joint name="q2" type="continuous"><parent link="one"/><child link="two"/><origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
+  </joint>
+  <joint name="q3" type="revolute"><parent link="two"/><child link="three"/><origin xyz="0 0 0.3"/><axis xyz="1 0 0"/>
+    <limit lower="-2" upper="2"/></joint>
+</robot>"""
+
+
+def unit(quaternion: Array) -> Array:
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
+
+
+def surface_points(link: str, rng: np.random.Generator) -> Array:
+    """Points (400, 3), m, on the primitive of a link, in the link's frame."""
+    points = rng.uniform(-1, 1, (400, 3))
+    if link == "one":
+        points[np.arange(400), rng.integers(3, size=400)] = rng.choice([-1, 1], 400)
+        return np.asarray(points * [0.03, 0.02, 0.15] + [0, 0, 0.2])
+    angle, c, s = 2 * math.pi * points[:, 0], math.cos(0.1), math.sin(0.1)
+    x, y, z = 0.03 * np.cos(angle), 0.03 * np.sin(angle), 0.12 * points[:, 1]
+    return np.column_stack([x, c * y - s * z, s * y + c * z + 0.15])
+
+
+def test_no_primitive_of_an_arm_enters_a_box_unseen(tmp_path: Path) -> None:
+    """A ball by its closed formula, boxes and cylinders by points on them, among random boxes."""
+    (tmp_path / "a.urdf").write_text(ARM_OF_PRIMITIVES)
+    joints, home = ("q1", "q2", "q3"), (0.0, 0.0, 0.0)
+    arm = ArmDescription("a", RobotFiles(tmp_path / "a.urdf"), "base", "three", joints, 1.0, home)
+    rng = np.random.default_rng(8)
+    boxes, around = [], scene_workcell().T_world_base[:3, 3]
+    for _ in range(40):
+        T = pose(around + rng.uniform([-0.6, -0.6, 0.1], [0.6, 0.6, 0.9]), unit(rng.normal(size=4)))
+        boxes.append(OrientedBox(T, rng.uniform(0.02, 0.1, 3)))
+    cell = replace(
+        scene_workcell(),
+        description=replace(linkage(tmp_path), arm=arm),
+        home=np.zeros(3),
+        environment=tuple(Obstacle(str(i), box) for i, box in enumerate(boxes)),
+    )
+    scene = Scene(scene_assembly(), cell, 0.003)
+    scene.show(0, None)
+    hits = dict.fromkeys(("one", "two", "three"), 0)
+    T_base = cell.T_world_base
+    for _ in range(200):
+        q = rng.uniform([-2, -9, -2], [2, 9, 2])
+        scene.place(q)
+        truth = Kinematics(tmp_path / "a.urdf").poses("base", dict(zip(joints, q, strict=True)))
+        pairs, distances = scene.near()
+        near = {frozenset(map(scene.label, pair)): d for pair, d in zip(pairs.tolist(), distances, strict=True)}
+        for i, box in enumerate(boxes):
+            T_box_base = np.linalg.inv(box.T_frame_box) @ T_base
+            for link in ("one", "two"):
+                T = T_box_base @ truth[link]
+                inside = np.abs(surface_points(link, rng) @ T[:3, :3].T + T[:3, 3]) < box.half_extents - 1e-3
+                if inside.all(axis=1).any():
+                    hits[link] += 1
+                    assert near[frozenset((link, f"environment/{i}"))] < 0
+            centre = (T_box_base @ truth["three"] @ [0, 0, 0.05, 1])[:3]
+            gap = float(np.linalg.norm(np.maximum(np.abs(centre) - box.half_extents, 0))) - 0.04
+            if -0.03 < gap < 0.0029:
+                hits["three"] += 1
+                assert near[frozenset(("three", f"environment/{i}"))] == pytest.approx(gap, abs=1e-6)
+            elif gap > 0.0031:
+                assert frozenset(("three", f"environment/{i}")) not in near
+    assert all(count > 20 for count in hits.values()), hits
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e", "xarm7"])
+def test_the_shipped_descriptions_are_those_of_their_grippers(name: str) -> None:
+    """At 41 openings of the whole range, between the rows of the table too; their joints and their rest are allowed."""
+    try:
+        description = load_robot_description(name)
+        unchecked_pairs(description)
+    except InputError as error:
+        pytest.skip(str(error))
+    home = np.array(description.arm.home)
+    scene = Scene(scene_assembly(), replace(scene_workcell(), description=description, home=home), 0.003)
+    scene.show(0, None)
+    assert ((scene.joint_limits[:, 0] <= home) & (home <= scene.joint_limits[:, 1])).all()
+    pairs, distances = scene.near()
+    assert [(scene.label(a), scene.label(b)) for (a, b), d in zip(pairs, distances, strict=True) if d < 0] == []
+    openings = description.gripper.openings
+    for opening in np.linspace(openings[0], openings[-1], 41):
+        scene.open(float(opening))
+        scene.place(home)
+        assert not scene.joints.beyond_limits(float(opening))
+        for pad in scene.pads():
+            assert pad.distance == pytest.approx(opening / 2, abs=5e-5)
+            assert pad.tilt < math.radians(0.1)
