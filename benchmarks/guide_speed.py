@@ -20,9 +20,9 @@ from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.guide.architecture import Architecture
 from takeapart.guide.policy import LearnedGuide, guide_path
 from takeapart.guide.weights import Weights, load_weights
-from takeapart.model.assembly import members
 from takeapart.planning import PlanningOptions, build_problem, search
 from takeapart.search.result import Budget
+from takeapart.states import members
 
 
 def drawn_weights(architecture: Architecture, seed: int) -> Weights:

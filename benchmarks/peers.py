@@ -36,11 +36,11 @@ from takeapart.motion.edges import waypoints
 from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.scene import Scene, is_free, new_scene
 from takeapart.motion.smooth import shorten
-from takeapart.removal.masks import flags_of
 from takeapart.robot.kinematics import tool_steps
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
 from takeapart.robot.world import owner_fields, with_field
+from takeapart.states import flags_of
 
 STEP = 0.001  # m, see `piece_free`; what peers are given in radians is below
 SPACING = 0.05  # m, from row to row of our paths, as the removal planner has it

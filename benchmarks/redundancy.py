@@ -12,12 +12,12 @@ import argparse
 import numpy as np
 
 from takeapart.formats.files import data_path, load_assembly, load_workcell
-from takeapart.model.assembly import members
 from takeapart.model.geometry import Array, pose_inverse
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.ik import solver_of
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
+from takeapart.states import members
 
 
 class MoreSolutions:

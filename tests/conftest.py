@@ -15,13 +15,13 @@ from takeapart.model.assembly import Assembly, members
 from takeapart.model.geometry import Array, OrientedBox
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.problem import AssemblyProblem
-from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world
 from takeapart.stability import ConnectorStability
+from takeapart.states import flags_of
 from takeapart.workcell import Workcell
 
 # The same inputs in every run of the tests; `make fuzz` looks for new ones.

@@ -129,3 +129,12 @@ def test_options_of_the_commands_in_the_documents_exist() -> None:
         for command, rest in shown.findall((ROOT / "docs" / document).read_text(encoding="utf-8")):
             known = {option for parameter in main.commands[command].params for option in parameter.opts}
             assert set(re.findall(r"(--[a-z-]+)", rest)) <= known, (document, command, rest)
+
+
+def test_places_that_contributors_are_sent_to_are_there() -> None:
+    text = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+    places = set(re.findall(r"`((?:src|tests|data|benchmarks)(?:/[\w.]+)*)`", text))
+    assert len(places) > 15
+    assert [place for place in sorted(places) if not (ROOT / place).exists()] == []
+    table = text.split("## Rules")[0]
+    assert sum(line.startswith("| ") for line in table.splitlines()) == 11, "ten changes below the head"

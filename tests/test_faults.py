@@ -27,7 +27,7 @@ import takeapart
 from kill_harness import CASES, Case, disturb
 from small_assemblies import WORKCELL, three_bars, two_bars
 from takeapart.cli.commands import main
-from takeapart.cli.plan import options_of
+from takeapart.cli.search_options import options_of
 from takeapart.formats.files import load_assembly, load_plan, load_workcell, save_assembly
 from takeapart.formats.serialization import plan_document
 from takeapart.model.assembly import Assembly

@@ -24,7 +24,6 @@ from conftest import (
 from takeapart.formats.robot_files import load_robot_description
 from takeapart.model.assembly import Assembly, Part, members
 from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
-from takeapart.removal.masks import flags_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.arrays import HeldArrays, WorldArrays
 from takeapart.robot.grid import boxes_meet
@@ -33,6 +32,7 @@ from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import FREE, HIT_SELF, HIT_WORLD, LARGEST_MARGIN, check, collect, placed
 from takeapart.robot.kinematics import forward, jacobian, motion_of_ball, place, place_held, set_motion
 from takeapart.robot.model import RobotModel
+from takeapart.states import flags_of
 from takeapart.verification.model import STATIC_BITS
 from takeapart.verification.model import Scene as MujocoScene
 from takeapart.workcell import Obstacle, Workcell

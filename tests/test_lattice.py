@@ -19,11 +19,10 @@ from takeapart.search.lattice import (
     cost_from_root,
     cost_to_go,
     enumerate_states,
-    pack,
-    unpack,
 )
 from takeapart.search.lattice_bounds import LatticeBounds, SequenceBounds
 from takeapart.search.orders import smallest_states
+from takeapart.states import pack, unpack
 
 
 class MaskedProblem(SyntheticProblem):

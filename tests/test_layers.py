@@ -20,6 +20,7 @@ _moved
 model.errors
 caching
 compilation
+states
 model.geometry
 model.assembly
 model.plan

@@ -13,8 +13,9 @@ import pytest
 
 import takeapart
 from synthetic import exact_guide, random_problem
+from takeapart.cli.search_options import option_values, options_of
 from takeapart.experiments.compared import COMPARED, PAPER
-from takeapart.model.errors import InputError
+from takeapart.model.errors import InputError, TakeapartError
 from takeapart.planning import PlanningOptions
 from takeapart.search.registry import SEARCHES, searches_that_take
 from takeapart.search.result import Budget
@@ -93,3 +94,32 @@ def test_no_other_list_of_searches_stands_anywhere() -> None:
     ]
     assert found == []
     assert len(names_in(ast.parse("a = ('exact', 'mcts', 'beam')").body[0].value)) == 3  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_every_plain_option_can_be_set_on_the_command_line(name: str) -> None:
+    before = option_values(SEARCHES[name].options())
+    assert any(option.endswith("attempts") for option in before)
+    for option, value in before.items():
+        other = {bool: lambda: not value, str: lambda: "paper", float: lambda: value / 2 or 0.5}.get(
+            type(value), lambda: value + 1
+        )()
+        made = options_of(name, 0, settings=(f"{option}={str(other).lower()}",)).of_search()
+        assert option_values(made) == before | {option: other}
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("explore=1", r"--set: mcts has no option 'explore'; valid: exploration, search_budget, attempts, memory, "),
+        ("exploration=far", r"--set exploration: 'far'; must be a number"),
+        ("exploration=nan", r"--set exploration: 'nan'; must be a number"),
+        ("exploration", r"--set exploration: ''; must be a number"),
+        ("attempts=1.5", r"--set attempts: '1.5'; must be a whole number"),
+        ("epsilon=2", r"mcts.epsilon: 2.0; must be from 0 to 1"),
+        ("memory=none", r"unknown memory 'none'; valid: library, paper"),
+    ],
+)
+def test_settings_that_cannot_be_are_told(setting: str, message: str) -> None:
+    with pytest.raises(TakeapartError, match=message):
+        options_of("mcts", 0, settings=(setting,))

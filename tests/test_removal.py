@@ -21,12 +21,12 @@ from takeapart.motion.edges import Scene, resampled
 from takeapart.removal.goals import super_fibonacci
 from takeapart.removal.grasps import grasp_candidates, grasp_positions, straight_line_bounds
 from takeapart.removal.lifting import lift_blockers
-from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
 from takeapart.removal.situation import Situation
 from takeapart.robot.kernels import FREE, check
 from takeapart.robot.model import RobotModel
+from takeapart.states import flags_of, state_of
 from takeapart.verification.model import Scene as MujocoScene
 from takeapart.workcell import Workcell
 

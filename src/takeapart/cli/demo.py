@@ -20,8 +20,9 @@ from takeapart.cli.output import (
     require_output,
     seed_option,
 )
-from takeapart.cli.plan import make_plan, options_of
+from takeapart.cli.plan import make_plan
 from takeapart.cli.plan_output import plan_summary, print_plan, save_or_explain
+from takeapart.cli.search_options import options_of
 from takeapart.cli.verify import print_verdict
 from takeapart.model.errors import MissingExtraError
 from takeapart.search.registry import SEARCHES

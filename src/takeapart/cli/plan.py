@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -29,6 +27,7 @@ from takeapart.cli.output import (
     workcell_option,
 )
 from takeapart.cli.plan_output import plan_summary, print_plan, save_or_explain
+from takeapart.cli.search_options import options_of
 from takeapart.cli.view import keep_showing, live_view
 from takeapart.model.errors import MissingExtraError
 from takeapart.search.registry import SEARCHES, searches_that_take
@@ -87,9 +86,7 @@ GUIDED, RECORDED = searches_that_take("guide"), searches_that_take("observe")
 @click.option(
     "--attempts",
     type=click.IntRange(1),
-    default=1,
-    show_default=True,
-    help="How often a removal is planned; the shortest is kept. The paper's mcts has 4.",
+    help="How often a removal is planned; the shortest is kept. The paper's mcts has 4.  [default: 1]",
 )
 @click.option(
     "--workers",
@@ -107,6 +104,13 @@ GUIDED, RECORDED = searches_that_take("guide"), searches_that_take("observe")
     type=click.IntRange(1, 10**9),
     help="exact only. Up to so many reachable states are enumerated, for a third of a gigabyte the million; with more, "
     "best-first search takes over.  [default: 2000000]",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Any other option of the search, for example --set exploration=0.5 with mcts; a wrong name lists all.",
 )
 @click.option(
     "--out", type=FILE, help="The plan file.  [default: <name of the assembly file>.plan.json in the current folder]"
@@ -149,10 +153,11 @@ def plan(
     seconds: float | None,
     queries: int | None,
     memory: str | None,
-    attempts: int,
+    attempts: int | None,
     workers: int | None,
     refine: int | None,
     states: int | None,
+    settings: tuple[str, ...],
     out: Path | None,
     run: Path | None,
     guide: Path | None,
@@ -182,9 +187,10 @@ def plan(
     out = out or Path(f"{assembly.stem}.plan.json")
     product, cell = load_assembly(assembly), load_workcell(workcell)
     require_output(out, assembly, Path(workcell))
-    options = options_of(
-        search, seed, episodes, seconds, queries, memory or "library", attempts, workers or 1, refine, states
-    )
+    attempts_of = "order.attempts" if search == "restarts" else "attempts"
+    named = {attempts_of: attempts, "memory": memory, "workers": workers}
+    named |= {"refinement.passes": refine, "state_limit": states}
+    options = options_of(search, seed, episodes, seconds, queries, named, settings)
     advice = loaded_guide(guide, product)
     with recorder(experience, product, options) as record, live_view(product, cell) if watch else nullcontext() as live:
         made, interrupted = make_plan(product, cell, options, run, advice, record, live)
@@ -198,37 +204,6 @@ def plan(
             click.echo(f"written to           {out}")
         if live is not None:
             keep_showing(live, out)
-
-
-def options_of(
-    search: Any,
-    seed: int,
-    episodes: int | None = None,
-    seconds: float | None = None,
-    queries: int | None = None,
-    memory: Any = "library",
-    attempts: int = 1,
-    workers: int = 1,
-    refine: int | None = None,
-    states: int | None = None,
-) -> PlanningOptions:
-    """The command's options as those of the library."""
-    from takeapart.planning import PlanningOptions
-    from takeapart.search.result import Budget
-
-    budget = Budget(episodes or math.inf, seconds or math.inf, queries or math.inf)
-    chosen = SEARCHES[search].options()
-    if search == "restarts":
-        chosen = replace(chosen, order=replace(chosen.order, attempts=attempts))
-    else:
-        chosen = replace(chosen, attempts=attempts)
-    if search == "mcts":
-        chosen = replace(chosen, memory=memory)
-    if search == "exact":
-        refinement = chosen.refinement if refine is None else replace(chosen.refinement, passes=refine)
-        limit = states or chosen.state_limit
-        chosen = replace(chosen, workers=workers, refinement=refinement, state_limit=limit)
-    return PlanningOptions(search, seed, budget, search_options=chosen)
 
 
 def loaded_guide(guide: Path | None, assembly: Assembly) -> Guide | None:

@@ -27,12 +27,12 @@ from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.documents import write_atomically
 from takeapart.formats.files import data_path, load_assembly, load_plan, load_workcell, save_plan
 from takeapart.formats.serialization import workcell_hash
-from takeapart.model.assembly import members
 from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, build_problem, plan_of, search, sources_digest
 from takeapart.problem import AssemblyProblem
 from takeapart.search.registry import SEARCHES, SearchEntry
 from takeapart.search.result import Budget
+from takeapart.states import members
 from takeapart.verification import Verifier, format_finding, states_of
 from takeapart.verification.checks import unsupported
 

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from takeapart.guide.experience import Experience
 from takeapart.guide.graph import GraphBatch, Indices, Numbers, part_geometry
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
+from takeapart.states import members
 
 GOAL = -1  # instead of the row of the empty state
 

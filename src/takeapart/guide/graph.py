@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
+from takeapart.states import members
 
 Numbers = NDArray[np.float32]
 Indices = NDArray[np.int64]

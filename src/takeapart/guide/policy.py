@@ -11,8 +11,9 @@ from takeapart.formats.files import data_path
 from takeapart.guide.forward import ForwardPass
 from takeapart.guide.graph import Numbers, part_geometry
 from takeapart.guide.weights import Weights, load_weights
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
+from takeapart.states import members
 
 DEFAULT = "default"
 SHIPPED = "guide/default.safetensors"  # trained on all shipped assemblies; guide/README.md is its model card

@@ -15,6 +15,7 @@ import numpy as np
 
 from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.geometry import Array, OrientedBox, Shape, box_separation
+from takeapart.states import members
 
 SHORTEST_EDGE, LONGEST_EDGE = 1e-4, 100.0  # m, of a box
 OVERLAP_TOLERANCE = 1e-4  # m; bodies of different parts may overlap by this much (rounding of drawings)
@@ -122,16 +123,6 @@ class Assembly:
                 raise UnknownNameError("part", name, list(self.index), self.name)
             state |= 1 << self.index[name]
         return state
-
-
-def members(state: int) -> list[int]:
-    """Numbers of the parts in a state, ascending."""
-    found = []
-    while state:
-        low = state & -state
-        found.append(low.bit_length() - 1)
-        state ^= low
-    return found
 
 
 def _check_names(assembly: Assembly) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from takeapart.formats.serialization import assembly_hash, workcell_hash
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.planning.runs import Identity, Run, RunBudget, finished_plan, open_run
@@ -26,6 +26,7 @@ from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, History, ProgressListener, SearchResult
 from takeapart.search.session import SettledObserver, TransitionObserver
 from takeapart.stability import ConnectorStability, require_support
+from takeapart.states import members
 from takeapart.workcell import Workcell
 
 MAXIMUM_HISTORY = 400  # rows of a plan's search history

@@ -13,13 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import QueryJournal, RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.reasons import Reasons
 from takeapart.removal.result import Blocked, Counts, Effort, OutOfTimeError, Removal
 from takeapart.stability import Stability
+from takeapart.states import members, seed_words
 
 Guide = Callable[[Sequence[int]], Sequence[Mapping[int, float]]]
 """States -> for each the Q-value (expected sum of rewards, m, negative) of every candidate part."""
@@ -224,8 +225,7 @@ class AssemblyProblem:
 
     def _plan(self, query: RemovalQuery, is_late: Callable[[], bool]) -> Removal | Blocked:
         state, part = query.state, query.part
-        words = [state >> shift & 0xFFFFFFFF for shift in range(0, max(state.bit_length(), 1), 32)]
-        rng = np.random.default_rng([self.seed, part, query.turn, *words])
+        rng = np.random.default_rng([self.seed, part, query.turn, *seed_words(state)])
         return self.planner.plan(
             part, state, rng=rng, shorter_than=query.shorter_than, attempts=query.attempts, is_late=is_late
         )

@@ -18,12 +18,12 @@ from takeapart.model.geometry import Array, pose
 from takeapart.motion.blockers import configuration_blockers
 from takeapart.motion.legs import joint_distances, near_pairs
 from takeapart.motion.scene import new_scene
-from takeapart.removal.masks import flags_of, owners_of
 from takeapart.removal.reach import Hand, LiftBranch
 from takeapart.robot.arrays import ArmArrays, Indices, Workspace, WorldArrays
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kernels import FREE, check
 from takeapart.robot.model import RobotModel
+from takeapart.states import flags_of, owners_of
 from takeapart.workcell import Workcell
 
 ORIENTATIONS = 240

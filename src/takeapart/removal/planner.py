@@ -21,7 +21,6 @@ from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.margins import padding, passing
-from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
 from takeapart.removal.placement import require_placement, require_reached_goal
 from takeapart.removal.reach import Reach
@@ -34,6 +33,7 @@ from takeapart.robot.kinematics import tool_poses
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
 from takeapart.robot.world import build_world, owner_fields, with_field
+from takeapart.states import flags_of, state_of
 from takeapart.workcell import Workcell
 
 KEPT_WORLDS = 64  # clearance fields of states that are kept

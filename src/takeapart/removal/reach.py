@@ -18,11 +18,11 @@ from takeapart.model.geometry import Array
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.removal.grasps import GraspCandidate, shortest_first, straight_line_bounds, tied
-from takeapart.removal.masks import flags_of, states_of
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.hand import hand_masks
 from takeapart.robot.ik import Solver
 from takeapart.robot.model import RobotModel, copied_load, moved_load
+from takeapart.states import flags_of, states_of
 from takeapart.workcell import Workcell
 
 TIED = 9  # decimals of a direction; noise of a part's frame is no steeper approach

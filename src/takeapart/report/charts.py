@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from takeapart.formats.bound_texts import STRAIGHT_LINE
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
 from takeapart.show.markup import Markup, element
+from takeapart.states import members
 
 WIDTH, GRAPH_WIDTH = 400, 348  # units of the drawings: text of 14 (12) of them has 11 pixels on a telephone too
 LENGTH, BAND, INK, GRID = "#2f6fb0", "#f2d0ab", "#39424e", "#e3e7ec"

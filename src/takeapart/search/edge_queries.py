@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 
-from takeapart.model.assembly import members
 from takeapart.problem import Problem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked, Effort, OutOfTimeError, Removal
 from takeapart.search.session import BudgetSpentError, Session
+from takeapart.states import members
 
 Edge = tuple[int, int]
 """State and part."""

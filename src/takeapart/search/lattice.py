@@ -9,19 +9,18 @@ is compiled.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.compilation import compiled
-from takeapart.model.assembly import members
 from takeapart.model.errors import InputError
 from takeapart.problem import Problem
 from takeapart.removal.result import never
+from takeapart.states import Words, members, pack, unpack
 
-Words = NDArray[np.uint64]
 Numbers = NDArray[np.int64]
 Values = NDArray[np.float64]
 
@@ -83,22 +82,6 @@ class Lattice:
                 common = _intersection(self.states, self.part_source[group])
                 smallest[part] = unpack(common, self.parts)
         return smallest
-
-
-def pack(state: int, parts: Sequence[int]) -> Words:
-    """(W,) words of a state; parts that are not removable are left out."""
-    packed = sum(1 << k for k, part in enumerate(parts) if state >> part & 1)
-    return np.frombuffer(packed.to_bytes(8 * words_needed(len(parts)), "little"), dtype="<u8").astype(np.uint64)
-
-
-def unpack(words: Words, parts: Sequence[int]) -> int:
-    """The state of packed words, as a mask over part numbers."""
-    return sum(1 << parts[k] for k in members(int.from_bytes(words.astype("<u8").tobytes(), "little")))
-
-
-def words_needed(parts: int) -> int:
-    """64-bit words that a packed state of this many removable parts takes."""
-    return max(1, -(-parts // 64))
 
 
 def enumerate_states(problem: Problem, limit: int, is_late: Callable[[], bool] = never) -> Lattice | TooLarge | None:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from takeapart.compilation import compiled
 from takeapart.removal.bounds import ClosedEdge, EdgeBounds
-from takeapart.search.lattice import Lattice, Values, cost_from_root, cost_to_go, pack
+from takeapart.search.lattice import Lattice, Values, cost_from_root, cost_to_go
+from takeapart.states import pack
 
 TOLERANCE = 1e-9  # m; sums of the same lengths in another order differ by less
 

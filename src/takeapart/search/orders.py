@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from takeapart.model.assembly import members
 from takeapart.search.edge_queries import Edge, refusals_in
 from takeapart.search.lazy_edges import LazyEdges, telling
+from takeapart.states import members
 
 
 class DeadEndError(Exception):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from takeapart.model.assembly import Assembly, members
+from takeapart.model.assembly import Assembly
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.lifting import lift_blockers
@@ -13,6 +13,7 @@ from takeapart.removal.margins import padding, passing
 from takeapart.removal.result import Blocked, Removal
 from takeapart.show.scene import PlanScene, role_of
 from takeapart.stability import ConnectorStability
+from takeapart.states import members
 
 SHOWN_ALTERNATIVES = 6
 

@@ -13,11 +13,12 @@ from functools import cached_property
 import numpy as np
 
 from takeapart.formats.serialization import assembly_hash
-from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.assembly import Assembly, Part
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, pose, pose_inverse, rotation_from_quaternion
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.show.robot import RobotVisual, load_robot_visual
+from takeapart.states import members
 from takeapart.workcell import Workcell
 
 Color = tuple[float, float, float]

@@ -9,10 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from takeapart.model.assembly import Assembly, Connector, members
+from takeapart.model.assembly import Assembly, Connector
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox
 from takeapart.stability.contact import TOUCHING, beyond_hull, distance, seats
+from takeapart.states import members
 
 STEEPEST_IN_PLANE = np.cos(np.pi / 4)  # |cosine| to the vertical above which a bar counts as being along z
 SAME_LENGTH = 1e-3  # m; edges closer than this are equally long: what a file rounds off does not decide
