@@ -114,12 +114,13 @@ def body_pairs(
         for a in range(b)
         if 0 < bodies[b].frame - bodies[a].frame <= 2 and not always[a, b] and not _are_neighbours(bodies[a], bodies[b])
     ]
-    sides = [(bodies[a], bodies[b]) for a, b in near]
-    unknown = [size for size, name in (_nodes(*side, T_joint, lower, upper) for side in sides) if not is_kept(name)]
+    sizes = [_nodes(bodies[a], bodies[b], T_joint, lower, upper) for a, b in near]
+    unknown = [size for size, name in sizes if not is_kept(name)]
     if sum(unknown) > ANNOUNCED:
         LOGGER.warning("working out how far the links of the arm are from each other, once: it takes a minute or two")
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        found = dict(zip(near, pool.map(lambda side: distance_table(*side, T_joint, lower, upper), sides), strict=True))
+        jobs = [pool.submit(distance_table, bodies[a], bodies[b], T_joint, lower, upper) for a, b in near]
+        found = {pair: job.result() for pair, job in zip(near, jobs, strict=True)}
     for a in range(len(bodies)):
         for b in range(a + 1, len(bodies)):
             first, second = bodies[a], bodies[b]
