@@ -1,7 +1,7 @@
 """The table of docs/robots.md: python benchmarks/robots.py
 
-Arm, joints, bodies, spheres and how far they reach beyond the hulls, processor time of one inverse kinematics query, and
-which pairs of bodies are left out and why.
+Arm, joints, bodies, spheres and how far they reach beyond the hulls, processor time of one query of inverse kinematics,
+and which pairs of bodies are left out and why.
 """
 
 from __future__ import annotations

@@ -106,7 +106,8 @@ def units(orders: bool) -> dict[str, Unit]:
         (kinematics.forward, (arm, one, work)),
         (kinematics.tool_poses, (arm, two, work, two)),
         (kinematics.tool_steps, (arm, two, work, one)),
-        (kinematics.mark_solutions, (arm, two, two, work, flags)),
+        (kinematics.mark_solutions, (example(arrays.ChainArrays), two, two, example(arrays.ChainFrames), flags)),
+        (kinematics.wind_to_middle, (one, one, int32, two, flags)),
         (grid.grid_fill, (two, three, two, one, 0.0, int32, 0.0, int32, int32, True)),
         (grid.clearance_fields, (two, three, two, int32, one, 0.0, int32, 0.0, table)),
     ]

@@ -1,7 +1,7 @@
 """Edges between two configurations: straight in joint space, or straight for the tool.
 
 An edge that is *straight for the tool* moves the point between the fingertips on the straight line between its ends,
-the shortest there is (Eq. 1); the rest of the arm's freedom (four of seven joints' worth) follows the interpolation of
+the shortest there is (Eq. 1); the rest of the arm's freedom (all but three joints' worth) follows the interpolation of
 the joint angles as closely as the line allows. Each row is the previous one plus its share of what is left to the end,
 projected onto the line by Newton's method on the tool's position. From row to row the joints move evenly, and that
 motion is what is proved free.

@@ -110,7 +110,7 @@ class GoalConfigurations:
 
     def all(self, work: Workspace, opening: float = 0.0) -> Array:
         """(G, n) rad, at an opening of the fingers, m."""
-        key = opening if self._robot.description.gripper.tool_moves else 0.0
+        key = opening if self._robot.tool_moves else 0.0
         with self._lock:
             if key not in self._found:
                 self._found[key] = np.array(list(self._solve(key, work))).reshape(-1, self._robot.joints)

@@ -43,6 +43,7 @@ class ArmArrays(NamedTuple):
     corner: Floats  # (V, 3) m, of the bodies' convex hulls, in the frame of the link that carries them
     corner_start: Indices  # (B + 1,) corners of body b are corner_start[b] .. corner_start[b + 1]
     body_frame: Counters  # (B,) joint frame that the body moves with; 0 is the base
+    first_moving: int  # bodies before it stand still with the base, and may touch the world
     body_center: Floats  # (B, 3) m, a ball around the whole body
     body_radius: Floats  # (B,) m
     self_pairs: Integers  # (P, 2) bodies that may touch each other, looked at by their spheres
@@ -54,6 +55,23 @@ class ArmArrays(NamedTuple):
     near_start: Indices  # (T,) where the table starts
     near_distance: Distances  # (N,) all tables, row after row, in units of TABLE_UNIT
     held_bodies: Integers  # (Q,) bodies that what the gripper carries may touch
+
+
+class ChainArrays(NamedTuple):
+    """What the kinematics need of `ArmArrays`: a kernel that Python calls often takes no more arrays than it reads."""
+
+    T_world_base: Floats  # (3, 4)
+    T_joint: Floats  # (n, 3, 4)
+    T_tool: Floats  # (3, 4)
+
+
+class ChainFrames(NamedTuple):
+    """What the kinematics write of a `Workspace`."""
+
+    R: Floats  # (n + 1, 3, 3)
+    p: Floats  # (n + 1, 3)
+    R_tool: Floats  # (3, 3)
+    p_tool: Floats  # (3,)
 
 
 class HeldArrays(NamedTuple):

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from takeapart.model.geometry import Array, pose_inverse
+from takeapart.robot.arrays import ChainArrays, ChainFrames
 from takeapart.robot.ik_solver import FlangeSolver, brought_solver, made_solver
-from takeapart.robot.kinematics import FULL_TURN, forward, mark_solutions
+from takeapart.robot.kinematics import forward, mark_solutions, wind_to_middle
 from takeapart.robot.model import RobotModel
 
 NEARLY = 0.1  # rad; where a sample of all solutions is so near to the limits, some may be inside
@@ -48,11 +49,10 @@ class InverseKinematics:
         self._T_base_world = pose_inverse(robot.T_world_base)
         self._T_tool_flange: dict[float, Array] = {}
         self._lower, self._upper = robot.arm.lower, robot.arm.upper
-        self._middle = 0.5 * (self._lower + self._upper)
         self._turning = robot.arm.turning
-        T_tool = robot.arm.T_tool
         # Whether the last joint turns the tool about its own approach direction: both finger orders are then one.
-        self._turns_on_the_spot = bool(np.allclose(T_tool[:2, 3], 0, atol=1e-9) and np.isclose(T_tool[2, 2], 1))
+        tools = [robot.T_last_flange @ robot.T_flange_tool(opening) for opening in robot.description.gripper.openings]
+        self._turns_on_the_spot = all(np.allclose(T[:2, 3], 0, atol=1e-9) and np.isclose(T[2, 2], 1) for T in tools)
         # The library loads its machine code at its first call. A second thread that calls meanwhile gets an answer of
         # its interpreted code, which rounds otherwise: a plan would depend on which thread came first.
         self.solve(robot.tool_pose(np.zeros(robot.joints)))
@@ -73,19 +73,19 @@ class InverseKinematics:
         other = found.copy()
         other[:, -1] += np.where(other[:, -1] > 0, -np.pi, np.pi)
         if self._robot.joints == 6:  # what is turned is all that there is
-            return self._inside(found, T_world_tool, opening), self._inside(self._wound(other), turned, opening)
+            return self._inside(found, T_world_tool, opening), self._inside(other, turned, opening)
         # For the turned pose the library takes other samples, and near the limits there are better ones among them.
         return self._inside(found, T_world_tool, opening), self._within_limits(other, turned, opening)
 
     def _sampled(self, T_world_tool: Array, opening: float) -> Array:
         """Solutions (S, n), rad, inside the limits or not."""
-        return self._wound(self._rows(self._solver.solve(self._to_flange(T_world_tool, opening), False)))
+        return self._rows(self._solver.solve(self._to_flange(T_world_tool, opening), False))
 
     def _inside(self, sampled: Array, T_world_tool: Array, opening: float) -> Array:
         """Solutions inside the limits from the library's own samples for the pose: those of them that are inside, which
         are all that it gives for these limits, or what it finds near the limits where none is.
         """
-        inside = sampled[((sampled >= self._lower) & (sampled <= self._upper)).all(axis=1)]
+        inside = self._wound_inside(sampled)
         if len(inside) or self._robot.joints == 6:  # of a redundant arm alone there are others than the samples
             return self._right(inside, T_world_tool, opening)
         return self._within_limits(sampled, T_world_tool, opening)
@@ -94,42 +94,40 @@ class InverseKinematics:
         """The library's own choice of solutions inside the limits; it is asked only where the samples say that there
         are some, because it takes a hundred times longer to find that there are none.
         """
+        self._wound_inside(sampled)
         beyond = np.maximum(self._lower - sampled, sampled - self._upper).max(axis=1, initial=-np.inf)
         if not len(sampled) or beyond.min() >= NEARLY:
             return np.empty((0, len(self._lower)))
-        found = self._wound(self._rows(self._solver.solve(self._to_flange(T_world_tool, opening), True)))
+        found = self._rows(self._solver.solve(self._to_flange(T_world_tool, opening), True))
         # Its limits may be others than those of this arm's URDF.
-        inside = found[((found >= self._lower) & (found <= self._upper)).all(axis=1)]
-        return self._right(inside, T_world_tool, opening)
+        return self._right(self._wound_inside(found), T_world_tool, opening)
 
     def _rows(self, found: list[Array]) -> Array:
         return np.array(found, dtype=float).reshape(-1, len(self._lower))
 
-    def _wound(self, rows: Array) -> Array:
-        """The same solutions (S, n), every joint by full turns inside its limits, if there is such an angle; of several
-        that nearest to their middle.
+    def _wound_inside(self, rows: Array) -> Array:
+        """Those of some solutions (S, n) that are inside the limits, every joint by full turns as near to the middle of
+        its limits as `wind_to_middle` says; the others are wound in place, too.
         """
-        outside = (rows < self._lower) | (rows > self._upper)
-        outside[:, self._turning] = True
-        if not outside.any():
-            return rows
-        nearest = rows + FULL_TURN * np.round((self._middle - rows) / FULL_TURN)
-        better = outside & (nearest >= self._lower) & (nearest <= self._upper)
-        return np.where(better, nearest, rows)
+        inside = np.empty(len(rows), dtype=np.uint8)
+        wind_to_middle(self._lower, self._upper, self._turning, rows, inside)
+        return rows[inside.astype(bool)]
 
     def _right(self, rows: Array, T_world_tool: Array, opening: float) -> Array:
         """Those of some solutions (S, n) that put the tool where it should be, each once."""
         if not len(rows):
             return rows
-        right, rows = np.zeros(len(rows), dtype=np.uint8), np.ascontiguousarray(rows)
-        if not hasattr(self._local, "work"):
-            self._local.work = self._robot.workspace()
+        if not hasattr(self._local, "frames"):
+            work = self._robot.workspace()
+            self._local.frames = ChainFrames(work.R, work.p, work.R_tool, work.p_tool)
+        right = np.empty(len(rows), dtype=np.uint8)
         arm = self._robot.arm_at(opening)
-        mark_solutions(arm, rows, np.ascontiguousarray(T_world_tool), self._local.work, right)
+        chain = ChainArrays(arm.T_world_base, arm.T_joint, arm.T_tool)
+        mark_solutions(chain, rows, np.ascontiguousarray(T_world_tool), self._local.frames, right)
         return rows if right.all() else rows[right.astype(bool)]
 
     def _to_flange(self, T_world_tool: Array, opening: float) -> Array:
-        key = opening if self._robot.description.gripper.tool_moves else 0.0
+        key = opening if self._robot.tool_moves else 0.0
         if key not in self._T_tool_flange:
             self._T_tool_flange[key] = pose_inverse(self._robot.T_flange_tool(key))
         T: Array = self._T_base_world @ T_world_tool @ self._T_tool_flange[key]

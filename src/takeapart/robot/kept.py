@@ -22,6 +22,11 @@ def kept(name: str) -> NDArray[Any] | None:
     return found if isinstance(found, np.ndarray) else None
 
 
+def is_kept(name: str) -> bool:
+    """Whether there is a file for an array of this name, damaged or not."""
+    return (cache_folder() / f"{name}.npy").is_file()
+
+
 def keep(name: str, array: NDArray[Any]) -> None:
     """Keeps an array, all of it or nothing; without a place for it, it is made again next time."""
     file = cache_folder() / f"{name}.npy"

@@ -105,9 +105,9 @@ def held_hits_world(
 def _arm_hits_world(
     arm: ArmArrays, world: WorldArrays, present: Flags, padding: float, work: Workspace, hits: Flags, collect: bool
 ) -> bool:
-    """Bodies far from the base come first: they are the likely ones. The base (body 0) may touch the world."""
+    """Bodies far from the base come first: they are the likely ones. What stands with the base may touch the world."""
     found = False
-    for b in range(len(arm.body_frame) - 1, 0, -1):
+    for b in range(len(arm.body_frame) - 1, arm.first_moving - 1, -1):
         if body_hits_world(arm, world, present, padding + work.margin[b], work, hits, collect, b):
             if not collect:
                 return True

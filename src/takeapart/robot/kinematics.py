@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from takeapart.compilation import compiled_lean
-from takeapart.robot.arrays import ArmArrays, Flags, Floats, HeldArrays, Workspace
+from takeapart.robot.arrays import ArmArrays, ChainArrays, ChainFrames, Flags, Floats, HeldArrays, Integers, Workspace
 
 FULL_TURN = 2.0 * math.pi
 LARGEST_ERROR = 1e-6  # m, rad; what puts the tool further from a pose is no solution of its inverse kinematics
@@ -25,7 +25,7 @@ SAME_SOLUTION = 1e-6  # rad; configurations in which no joint differs by more ar
 
 
 @compiled_lean
-def forward(arm: ArmArrays, q: Floats, work: Workspace) -> None:
+def forward(arm: ArmArrays | ChainArrays, q: Floats, work: Workspace | ChainFrames) -> None:
     """Poses of all links and of the tool at a configuration (n,), rad; written to the workspace."""
     R, p = work.R, work.p
     for i in range(3):
@@ -121,17 +121,17 @@ def tool_steps(arm: ArmArrays, rows: Floats, work: Workspace, steps: Floats) -> 
 
 
 @compiled_lean
-def mark_solutions(arm: ArmArrays, rows: Floats, T: Floats, work: Workspace, right: Flags) -> None:
+def mark_solutions(chain: ChainArrays, rows: Floats, T: Floats, frames: ChainFrames, right: Flags) -> None:
     """Marks in `right` (M,) which configurations (M, n), rad, put the tool at a pose T (4, 4) within `LARGEST_ERROR`,
     each once: what differs from an earlier one by rounding and full turns alone is not marked.
     """
     for k in range(len(rows)):
-        forward(arm, rows[k], work)
+        forward(chain, rows[k], frames)
         moved = turned = 0.0
         for i in range(3):
-            moved += (work.p_tool[i] - T[i, 3]) ** 2
+            moved += (frames.p_tool[i] - T[i, 3]) ** 2
             for j in range(3):
-                turned += (work.R_tool[i, j] - T[i, j]) ** 2  # in all 8 sin^2(angle / 2)
+                turned += (frames.R_tool[i, j] - T[i, j]) ** 2  # in all 8 sin^2(angle / 2)
         right[k] = max(moved, 0.5 * turned) <= LARGEST_ERROR * LARGEST_ERROR
         for m in range(k):
             if right[k] and right[m]:
@@ -142,6 +142,29 @@ def mark_solutions(arm: ArmArrays, rows: Floats, T: Floats, work: Workspace, rig
                         break
                 if apart <= SAME_SOLUTION:
                     right[k] = 0
+
+
+@compiled_lean
+def wind_to_middle(lower: Floats, upper: Floats, turning: Integers, rows: Floats, inside: Flags) -> None:
+    """Brings every joint of configurations (M, n), rad, by full turns inside its limits (n,), if there is such an
+    angle: of the joints `turning` to that nearest to the middle, if it is inside. Marks in `inside` (M,) which
+    configurations are inside the limits then.
+    """
+    for m in range(len(rows)):
+        for i in range(len(turning)):
+            k = turning[i]
+            found = nearest_angle(rows[m, k], 0.5 * (lower[k] + upper[k]))
+            if found >= lower[k] and found <= upper[k]:
+                rows[m, k] = found
+        inside[m] = 1
+        for k in range(rows.shape[1]):
+            angle = rows[m, k]
+            if angle < lower[k] or angle > upper[k]:
+                found = nearest_angle(angle, 0.5 * (lower[k] + upper[k]))
+                if found >= lower[k] and found <= upper[k]:
+                    rows[m, k] = found
+                else:
+                    inside[m] = 0
 
 
 @compiled_lean

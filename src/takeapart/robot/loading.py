@@ -50,6 +50,7 @@ def load_robot(workcell: Workcell) -> RobotModel:
         corner=np.ascontiguousarray(np.concatenate([hull.corners for hull in hulls])),
         corner_start=np.cumsum([0, *[len(hull.corners) for hull in hulls]], dtype=np.int64),
         body_frame=np.array([body.frame for body in bodies], dtype=np.uint64),
+        first_moving=sum(body.frame == 0 for body in bodies),
         body_center=np.array([center for center, _ in balls]),
         body_radius=np.array([radius for _, radius in balls]),
         self_pairs=np.array(

@@ -59,7 +59,7 @@ class RobotModel:
 
     def arm_at(self, opening: float) -> ArmArrays:
         """The arm with the tool where it is at an opening of the fingers, m: the same object where it does not move."""
-        if not self.description.gripper.tool_moves:
+        if not self.tool_moves:
             return self.arm
         if opening not in self._arms:
             T_tool = self.T_last_flange @ self.T_flange_tool(opening)
@@ -70,11 +70,15 @@ class RobotModel:
         """(4, 4) at an opening of the fingers, m."""
         return self.description.T_flange_tool(opening)
 
+    @cached_property
+    def tool_moves(self) -> bool:
+        """Whether the tool frame depends on the opening."""
+        return self.description.gripper.tool_moves
+
     @property
     def tool_openings(self) -> tuple[float, ...]:
         """Openings, m, that tell apart where the tool can be: its ends where it moves, one where it does not."""
-        gripper = self.description.gripper
-        return (0.0, gripper.maximum_opening) if gripper.tool_moves else (0.0,)
+        return (0.0, self.description.gripper.maximum_opening) if self.tool_moves else (0.0,)
 
     @cached_property
     def _fingers(self) -> int:

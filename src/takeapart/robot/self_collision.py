@@ -14,8 +14,11 @@ are left out, and pairs that touch in every configuration. For all others there 
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +27,7 @@ import numpy as np
 from takeapart.compilation import compiled
 from takeapart.model.geometry import Array
 from takeapart.robot.arrays import TABLE_UNIT, Distances, Floats
-from takeapart.robot.kept import keep, kept
+from takeapart.robot.kept import is_kept, keep, kept
 from takeapart.robot.kinematics import FULL_TURN
 from takeapart.robot.separation import separation
 
@@ -34,7 +37,10 @@ NEAR = 0.05  # m; where two bodies are further apart than this, the coarse nodes
 FAR = 0.3  # m; the tables tell no greater distances
 NEVER = 0.03  # m; pairs that never come nearer than this need no check: no workcell asks for more than 20 mm
 LEAST_WINDING = 1e-6  # rad; a joint that turns less than this further than once round does not count as doing so
+ANNOUNCED = 7_000_000  # nodes of new tables; so many take minutes, and it is said
 SAMPLES = 200  # configurations in which a pair must touch to count as one that always does
+
+LOGGER = logging.getLogger(__name__)
 
 Treatment = Literal["neighbours", "always touch", "never meet", "table", "hulls"]
 
@@ -102,16 +108,28 @@ def body_pairs(
     tables: list[DistanceTable] = []
     lower, upper = within_one_turn(lower, upper)
     always = always_touching(bodies, T_joint, lower, upper)
+    near = [
+        (a, b)
+        for b in range(len(bodies))
+        for a in range(b)
+        if 0 < bodies[b].frame - bodies[a].frame <= 2 and not always[a, b] and not _are_neighbours(bodies[a], bodies[b])
+    ]
+    sides = [(bodies[a], bodies[b]) for a, b in near]
+    unknown = [size for size, name in (_nodes(*side, T_joint, lower, upper) for side in sides) if not is_kept(name)]
+    if sum(unknown) > ANNOUNCED:
+        LOGGER.warning("working out how far the links of the arm are from each other, once: it takes a minute or two")
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        found = dict(zip(near, pool.map(lambda side: distance_table(*side, T_joint, lower, upper), sides), strict=True))
     for a in range(len(bodies)):
         for b in range(a + 1, len(bodies)):
             first, second = bodies[a], bodies[b]
             between = second.frame - first.frame
-            if between == 0 or (between == 1 and first.rigid and second.rigid):
+            if _are_neighbours(first, second):
                 pairs.append(BodyPair(a, b, "neighbours"))
             elif always[a, b]:
                 pairs.append(BodyPair(a, b, "always touch"))
             elif between <= 2:
-                table = distance_table(first, second, T_joint, lower, upper)
+                table = found[a, b]
                 least = float(table.distances.min()) * TABLE_UNIT - float(table.reach @ table.step) / 2
                 if least > NEVER:
                     pairs.append(BodyPair(a, b, "never meet", least))
@@ -121,6 +139,11 @@ def body_pairs(
             else:
                 pairs.append(BodyPair(a, b, "hulls"))
     return tuple(pairs), tuple(tables)
+
+
+def _are_neighbours(first: ConvexBody, second: ConvexBody) -> bool:
+    between = second.frame - first.frame
+    return between == 0 or (between == 1 and first.rigid and second.rigid)
 
 
 def turning_joints(lower: Floats, upper: Floats) -> list[int]:
@@ -198,15 +221,10 @@ def distance_table(
     as far apart: less than the distance, never more.
     """
     i, j = first.frame, second.frame - 1
-    chain = np.ascontiguousarray(T_joint[i : j + 1])
-    counts = [max(1, math.ceil((upper[k] - lower[k]) / NODE / COARSE)) * COARSE + 1 for k in (i, j)]
-    if i == j:
-        counts[0] = 1
-    starts, steps = np.array([lower[i], lower[j]]), np.array([NODE, NODE])
+    chain, starts, shape = _layout(first, second, T_joint, lower, upper)
+    steps = np.array([NODE, NODE])
     reach = _kept_reach(first, second, chain)
-    shape = (counts[0], counts[1])
-    measures = np.array([NODE, COARSE, NEAR, TABLE_UNIT, *shape])
-    name = _name("distances-2", measures, first.corners, second.corners, chain, starts)
+    _, name = _nodes(first, second, T_joint, lower, upper)
     known = kept(name)
     if known is not None and known.shape == shape and known.dtype == np.uint16:
         return DistanceTable((i, j), starts, steps, known.astype(np.uint16, copy=False), reach)
@@ -214,6 +232,23 @@ def distance_table(
     _fill(first.corners, second.corners, chain, starts, reach, distances)
     keep(name, distances)
     return DistanceTable((i, j), starts, steps, distances, reach)
+
+
+def _layout(
+    first: ConvexBody, second: ConvexBody, T_joint: Floats, lower: Floats, upper: Floats
+) -> tuple[Floats, Array, tuple[int, int]]:
+    """Of the table of two bodies: the joints between them, angles of the first node, and numbers of nodes."""
+    i, j = first.frame, second.frame - 1
+    counts = [max(1, math.ceil((upper[k] - lower[k]) / NODE / COARSE)) * COARSE + 1 for k in (i, j)]
+    shape = (1 if i == j else counts[0], counts[1])
+    return np.ascontiguousarray(T_joint[i : j + 1]), np.array([lower[i], lower[j]]), shape
+
+
+def _nodes(first: ConvexBody, second: ConvexBody, T_joint: Floats, lower: Floats, upper: Floats) -> tuple[int, str]:
+    """How many nodes the table of two bodies has, and the name under which it is kept."""
+    chain, starts, shape = _layout(first, second, T_joint, lower, upper)
+    measures = np.array([NODE, COARSE, NEAR, TABLE_UNIT, *shape])
+    return shape[0] * shape[1], _name("distances-2", measures, first.corners, second.corners, chain, starts)
 
 
 def _kept_reach(first: ConvexBody, second: ConvexBody, chain: Floats) -> Array:

@@ -42,7 +42,10 @@ Row = tuple[str, str, str]
 def new_problem(assembly: Assembly, workcell: Workcell, robot: RobotModel, seed: int = 0) -> AssemblyProblem:
     """A decision process with an empty library; goal configurations are solved, grasps are not."""
     planner = RemovalPlanner(assembly, workcell, robot=robot)
-    planner.goals.all(robot.workspace())
+    for width in {
+        candidate.width for part in range(len(assembly.parts)) for candidate in planner.reach.candidates(part)
+    }:
+        planner.goals.all(robot.workspace(), width)
     return AssemblyProblem(planner, ConnectorStability(assembly), seed)
 
 
