@@ -53,15 +53,18 @@ class MeshOracle:
         self.description = description
         arm, gripper = description.arm, description.gripper
         self.urdf, self.gripper = _read(arm.files), _read(gripper.files)
-        self.own = self._below(self.gripper, gripper.base_link)  # links of the gripper
         one_file = arm.files.urdf == gripper.files.urdf
+        below = self._below(self.gripper, gripper.base_link)
+        # Two files may have links of one name.
+        known = set() if one_file else set(self.urdf.link_map)
+        self.own = {f"gripper's {name}" if name in known else name: name for name in below}  # the gripper's links
+        named = {name: key for key, name in self.own.items()}
         self.objects: dict[str, list[tuple[fcl.CollisionObject, Array]]] = {}
         self.vertices: dict[str, Array] = {}  # (V, 3) m, of a link's meshes, in the link's frame
-        for urdf, files in ((self.urdf, arm.files), (self.gripper, gripper.files)):
-            for name, link in urdf.link_map.items():
-                of_gripper = name in self.own and (urdf is self.gripper or one_file)
-                if of_gripper != (urdf is self.gripper):
-                    continue
+        arm_links = {name: link for name, link in self.urdf.link_map.items() if not (one_file and name in below)}
+        hand_links = {named[name]: self.gripper.link_map[name] for name in below}
+        for files, links in ((arm.files, arm_links), (gripper.files, hand_links)):
+            for name, link in links.items():
                 for collision in link.collisions:
                     T = np.eye(4) if collision.origin is None else collision.origin
                     model, corners = _model(collision.geometry, files)
@@ -69,15 +72,20 @@ class MeshOracle:
                         corners = corners @ T[:3, :3].T + T[:3, 3]
                         self.vertices[name] = np.vstack([self.vertices.get(name, np.empty((0, 3))), corners])
                     self.objects.setdefault(name, []).append((fcl.CollisionObject(model), T))
-        parents = {joint.child: joint.parent for joint in self.urdf.joint_map.values()}
-        parents |= {joint.child: joint.parent for joint in self.gripper.joint_map.values() if joint.child in self.own}
-        parents[gripper.base_link] = arm.flange_link
+        parents = {joint.child: joint.parent for joint in self.urdf.joint_map.values() if joint.child in arm_links}
+        parents |= {
+            named[joint.child]: named[joint.parent]
+            for joint in self.gripper.joint_map.values()
+            if joint.child in below and joint.child != gripper.base_link
+        }
+        parents[named[gripper.base_link]] = arm.flange_link
+        fingers = {named[name] for name in gripper.finger_links}
         self.pairs = [
             (a, b)
             for a, b in combinations(self.objects, 2)
             if a not in self._next(b, parents)
             and b not in self._next(a, parents)
-            and (not {a, b} <= self.own or {a, b} <= {*gripper.finger_links})
+            and (not {a, b} <= self.own.keys() or {a, b} <= fingers)
         ]
 
     @staticmethod
@@ -101,7 +109,7 @@ class MeshOracle:
         self.gripper.update_cfg(gripper.joint_positions(opening))
         T_base_gripper = self.urdf.get_transform(arm.flange_link, arm.base_link) @ self.description.T_flange_gripper
         return {
-            name: T_base_gripper @ self.gripper.get_transform(name, gripper.base_link)
+            name: T_base_gripper @ self.gripper.get_transform(self.own[name], gripper.base_link)
             if name in self.own
             else self.urdf.get_transform(name, arm.base_link)
             for name in self.objects

@@ -119,7 +119,8 @@ def body_pairs(
     if sum(unknown) > ANNOUNCED:
         LOGGER.warning("working out how far the links of the arm are from each other, once: it takes a minute or two")
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        found = dict(zip(near, pool.map(lambda side: distance_table(*side, T_joint, lower, upper), sides), strict=True))
+        made = pool.map(lambda side: distance_table(side[0], side[1], T_joint, lower, upper), sides)
+        found = dict(zip(near, made, strict=True))
     for a in range(len(bodies)):
         for b in range(a + 1, len(bodies)):
             first, second = bodies[a], bodies[b]
