@@ -41,7 +41,7 @@ types: $(READY)  ## type check of sources and tests
 	$(BIN)/mypy
 
 bench: $(READY)  ## the figures of docs/benchmarks.md
-	$(BIN)/python -m takeapart.experiments.speed --write docs/benchmarks.md
+	$(BIN)/python benchmarks/speed.py --write docs/benchmarks.md
 
 verify-all: $(READY)  ## plan and verify every shipped assembly by every search; tables of docs/verification.md
 	$(BIN)/python -m takeapart.experiments.verify_all --document docs/verification.md

@@ -27,8 +27,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from speed import new_problem, random_edges
 from takeapart.compilation import compiled
-from takeapart.experiments.speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.model.geometry import pose_inverse
@@ -208,7 +208,7 @@ class Plainmp(CalledFromPython):
         frames = [sorted((int(arm.body_frame[pair.first]), int(arm.body_frame[pair.second]))) for pair in robot.pairs]
         pairs = sorted({(a, b) for (a, b), pair in zip(frames, robot.pairs, strict=True) if pair.treatment in CHECKED})
 
-        class Spec(PandaSpec):  # type: ignore[misc]
+        class Spec(PandaSpec):
             def urdf_path_override(self) -> Path:
                 return urdf
 

@@ -76,7 +76,9 @@ def plan() -> Document:
     }
     return {
         "format": "takeapart/plan",
-        "version": 1,
+        "version": 2,
+        "robot": "panda",
+        "joints": [f"panda_joint{i}" for i in range(1, 8)],
         "assembly": "bench",
         "workcell": "bench",
         "direction": "disassembly",

@@ -112,6 +112,15 @@ def other_name(target: Target, rng: np.random.Generator) -> Corrupted:
 
 
 @mutation
+def other_joints(target: Target, rng: np.random.Generator) -> Corrupted:
+    """The same paths for the joints of another arm, or for these in another order."""
+    joints = list(target.plan.joints)
+    i, j = rng.choice(len(joints), 2, replace=False)
+    joints[i], joints[j] = (joints[j], joints[i]) if rng.integers(2) else ("joint1", joints[j])
+    return Corrupted("other_joints", replace(target.plan, joints=tuple(joints)), "robot", None)
+
+
+@mutation
 def made_for_another_base(target: Target, rng: np.random.Generator) -> Corrupted:
     """As planned where the robot stands some millimetres away; hashes forged."""
     offset = rng.normal(size=3)

@@ -18,11 +18,13 @@ import numpy as np
 import pytest
 
 from browser import PATIENCE, Opened, opened, wait_until
+from other_robots import BETWEEN_PADS, bar_case
 from shown_plans import small_scene, write_files
 from takeapart.formats.files import data_path, load_workcell
 from takeapart.model.errors import InputError
-from takeapart.page.standalone import MAXIMUM_BYTES, assembled, save_page
-from takeapart.show.playback import GRIP, TOOL_SPEED, Timeline
+from takeapart.page.standalone import MAXIMUM_BYTES, assembled, page, save_page
+from takeapart.show.facts import part_facts
+from takeapart.show.playback import GRIP, SPEEDS, TOOL_SPEED, USUAL_SPEED, Timeline
 from takeapart.show.scene import PlanScene
 from takeapart.viewer import Viewer
 from takeapart.viewer.drawing import box_mesh
@@ -75,15 +77,24 @@ def test_standalone_page_plays_from_disk_without_a_network(page_file: Path, fold
         stopped = page.evaluate("takeapart.player.time")
         page.wait_for_timeout(300)
         assert page.evaluate("takeapart.player.time") == stopped
-        # The page's own kinematics put the tool where the plan says.
+        # The page's own kinematics put every link where the plan says.
         for k, step in enumerate(scene.steps):
             place = page.evaluate(
                 "([k, f]) => { const p = takeapart.player, q = p.timeline.configuration(k, f, p.data.home.length);"
-                "return p.arm.tool(p.arm.poses(q, 0)); }",
+                "return p.arm.poses(q, 0.037); }",
                 [k, 0.37],
             )
-            T = scene.robot.tool_pose(scene.moment(k, 0.37).configuration)
-            assert np.allclose(np.reshape(place, (4, 4)), T, atol=2e-4), step.part
+            T = scene.robot.poses(scene.moment(k, 0.37).configuration, 0.037)
+            assert np.allclose(np.reshape(place, (-1, 4, 4)), T, atol=2e-4), step.part
+        # It plays as the viewer does.
+        timeline = Timeline([float(scene.along(k)[-1]) for k in range(3)], scene.direction)
+        assert page.evaluate("takeapart.player.timeline.total") == pytest.approx(
+            timeline.total, abs=1e-3
+        )  # of a file, rounded
+        assert page.evaluate("takeapart.player.timeline.at(0.1).extra") == pytest.approx(timeline.at(0.1).extra)
+        assert page.locator("#speed option").all_inner_texts() == list(SPEEDS)
+        assert page.evaluate("[...document.querySelectorAll('#speed option')].map(o => +o.value)") == [*SPEEDS.values()]
+        assert page.locator("#speed").input_value() == f"{SPEEDS[USUAL_SPEED]:g}"
         assert all(url.startswith(("file:", "data:", "blob:")) for url in found.requests)
         assert found.errors == []
 
@@ -432,3 +443,31 @@ def test_search_is_told_while_it_runs(folder: Path) -> None:
         assert live._chart.data[1][-1] == pytest.approx(heard[-1].length)
     finally:
         viewer.close()
+
+
+def test_page_closes_a_gripper_whose_joints_follow_each_other(tmp_path: Path) -> None:
+    """A UR5e with a 2F-85: six joints, five of which follow the one that the opening sets."""
+    case = bar_case("ur5e")
+    scene = PlanScene(case.assembly, case.workcell, case.plan)
+    (tmp_path / "page.html").write_text(page(scene, part_facts(scene, [])), encoding="utf-8")
+    with opened((tmp_path / "page.html").as_uri(), 900, 640, offline=True) as found:
+        drawn(found)
+        found.keep("ur5e.png")
+        names = [link.name for link in scene.robot.links]
+        pads = [names.index(name) for name in case.workcell.description.gripper.finger_links]
+        for opening in (0.001, 0.011, 0.02, 0.0801, BETWEEN_PADS):
+            place = found.page.evaluate(
+                "([f, o]) => { const p = takeapart.player, q = p.timeline.configuration(0, f, p.data.home.length);"
+                "return p.arm.poses(q, o); }",
+                [0.6, opening],
+            )
+            T = scene.robot.poses(scene.moment(0, 0.6).configuration, opening)
+            shown = np.reshape(place, (-1, 4, 4))
+            assert np.allclose(shown, T, atol=2e-4)
+            left, right = shown[pads, :3, 3]
+            # The links' frames are as far further apart than the pads as they are where the gripper is wide open.
+            still = "o => takeapart.player.arm.poses([0, 0, 0, 0, 0, 0], o)"
+            wide = np.reshape(found.page.evaluate(still, BETWEEN_PADS), (-1, 4, 4))
+            apart = float(np.linalg.norm(np.subtract(*wide[pads, :3, 3])))
+            assert np.linalg.norm(left - right) == pytest.approx(apart - BETWEEN_PADS + opening, abs=1e-4)
+        assert found.errors == []

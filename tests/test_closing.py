@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from takeapart.experiments.closing import Closing, close, row
+from closing import Closing, close, row
 from takeapart.formats.files import load_workcell
 from takeapart.robot.model import RobotModel
 

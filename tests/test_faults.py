@@ -34,7 +34,7 @@ from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import pose
 from takeapart.model.plan import Grasp, Plan
-from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity, sources_digest
+from takeapart.planning import SEARCHES, PlanningOptions, plan, run_identity
 from takeapart.planning.run_journal import Journal, _digest, create_journal, recorded_answers
 from takeapart.planning.runs import Identity, RunBudget, open_run
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery, ThreadCounts
@@ -144,7 +144,7 @@ def test_a_run_without_any_order_is_recalled(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"seed": 1}, "seed was 0, now 1"),
-        ({"search": "mcts"}, "options.search was 'exact', now 'mcts'"),
+        ({"search": "mcts"}, "options.search was 'exact', now 'mcts'; .*and [0-9]+ more"),
         ({"budget": Budget()}, "options.budget.episodes was 10, now no limit"),
     ],
 )
@@ -184,20 +184,6 @@ def test_a_run_of_other_sources_is_refused(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr("takeapart.planning.plans.sources_digest", lambda: "0" * 64)
     with pytest.raises(InputError, match=r"sources was '\w{12}\.\.\.'?, now '?0{12}\.\.\.'?; take another folder"):
         plan(two_bars(), scene_workcell(), OPTIONS, run=tmp_path)
-
-
-def test_every_source_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "takeapart"
-    (package / "removal").mkdir(parents=True)
-    (package / "__init__.py").write_text("")
-    (package / "removal" / "planner.py").write_text("a = 1\n")
-    monkeypatch.setattr("takeapart.planning.plans.takeapart.__file__", str(package / "__init__.py"))
-    digests = [sources_digest.__wrapped__()]
-    (package / "removal" / "planner.py").write_text("a = 2\n")
-    digests.append(sources_digest.__wrapped__())
-    (package / "removal" / "planner.py").rename(package / "planner.py")
-    digests.append(sources_digest.__wrapped__())
-    assert len(set(digests)) == 3 and sources_digest.__wrapped__() == digests[-1]
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -32,6 +32,7 @@ from takeapart.model.geometry import Box, OrientedBox, pose
 from takeapart.model.plan import Grasp, Plan, PlanStep
 
 angles = st.floats(-3.2, 3.2)
+JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
 
 
 def make_assembly(rotation: np.ndarray | None = None, mass: float = 0.3) -> Assembly:
@@ -71,6 +72,8 @@ def make_plan(rows: int = 5) -> Plan:
         versions={"takeapart": "0.1.0"},
         assembly="two",
         workcell="panda",
+        robot="panda",
+        joints=JOINTS,
     )
 
 
@@ -150,12 +153,56 @@ def test_plan_file_has_exactly_the_documented_keys(tmp_path: Path) -> None:
     document = json.loads(text)
     assert set(document) == set(
         "format version total_length straight_line_bound sequence_bound steps counts seconds seed search hashes "
-        "versions assembly workcell direction".split()
+        "versions assembly workcell direction robot joints".split()
     )
     assert set(document["steps"][0]) == {"part", "grasp", "joint_path", "tool_path", "length"}
     assert set(document["steps"][0]["grasp"]) == {"center", "orientation", "width"}
     rows = [line.strip().rstrip(",") for line in text.splitlines()]
     assert all(json.dumps(row) in rows for row in document["steps"][0]["joint_path"])  # one row per line
+
+
+def test_a_plan_says_whose_joints_it_moves(tmp_path: Path) -> None:
+    save_plan(make_plan(), tmp_path / "plan.json")
+    document = json.loads((tmp_path / "plan.json").read_text())
+    assert (document["version"], document["robot"], document["joints"]) == (2, "panda", list(JOINTS))
+    loaded = load_plan(tmp_path / "plan.json")
+    assert (loaded.robot, loaded.joints) == ("panda", JOINTS)
+    save_plan(loaded.inverted().inverted(), tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "plan.json").read_bytes()
+
+
+def test_a_file_of_version_1_is_read_and_written_as_one(tmp_path: Path) -> None:
+    """It does not say whose joints it moves, so what is made of it cannot say so either."""
+    save_plan(make_plan(), tmp_path / "2.json")
+    document = json.loads((tmp_path / "2.json").read_text())
+    del document["robot"], document["joints"]
+    (tmp_path / "1.json").write_text(json.dumps({**document, "version": 1}))
+    loaded = load_plan(tmp_path / "1.json")
+    assert (loaded.robot, loaded.joints) == ("", ())
+    np.testing.assert_allclose(loaded.steps[0].joint_path, make_plan().steps[0].joint_path, atol=6e-10)
+    save_plan(loaded.inverted().inverted(), tmp_path / "again.json")
+    assert json.loads((tmp_path / "again.json").read_text()) == {**document, "version": 1}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": 3}, "version: version 3; this release reads version 1 and 2"),
+        ({"version": 1}, "there is a key 'robot'; version 1 has none, version 2 has one"),
+        ({"joints": None}, "there is no key 'joints'; version 1 has none, version 2 has one"),
+        ({"joints": JOINTS[:6]}, "steps[0].joint_path has 7 angles in a row, but 6 joints are named"),
+        ({"joints": [*JOINTS[:6], "panda_joint1"]}, "'panda_joint1' stands twice; every joint has a name of its own"),
+        ({"joints": []}, "joints"),
+    ],
+)
+def test_joints_of_a_plan_that_are_wrong_are_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    save_plan(make_plan(), tmp_path / "plan.json")
+    document = {**json.loads((tmp_path / "plan.json").read_text()), **changes}
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    with pytest.raises(InputError) as caught:
+        load_plan(tmp_path / "plan.json")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_inverted_plan_comes_back(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ CONFINED = {
     "polars": ("guide",),
     "viser": ("viewer",),
     "yourdfpy": ("robot.urdf", "show.robot"),
-    "xacro": ("robot.urdf",),
+    "xacro": ("robot.urdf", "verification.urdf"),
     "imageio": ("pictures",),
     "PIL": ("pictures",),
     "matplotlib": ("pictures", "report", "experiments"),

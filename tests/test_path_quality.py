@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from takeapart.experiments.path_quality import Sample, refined, table
+from path_quality import Sample, refined, table
 
 
 def test_no_answer_is_shorter_than_the_best_one_or_the_bound() -> None:

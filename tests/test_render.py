@@ -54,7 +54,7 @@ def test_drawn_arm_stands_where_the_planners_arm_stands(robot: RobotModel) -> No
     visual = load_robot_visual(workcell.description, workcell.T_world_base)
     rng = np.random.default_rng(0)
     for q in rng.uniform(robot.arm.lower, robot.arm.upper, (20, robot.joints)):
-        assert np.allclose(visual.tool_pose(q), robot.tool_pose(q), atol=1e-9)
+        assert np.allclose(visual.tool_pose(q, 0.03), robot.tool_pose(q), atol=1e-9)
     names = [link.name for link in visual.links]
     for opening in (0.0, 0.03, 0.08):
         T = visual.poses(workcell.home, opening)
@@ -72,9 +72,11 @@ def test_held_part_starts_in_its_place_and_follows_the_tool(scene: PlanScene) ->
         part = scene.assembly.parts[scene.order[number]]
         start, end = scene.moment(number, 0.0), scene.moment(number, 1.0)
         assert np.allclose(start.T_world_held, part.T_world_part, atol=1e-4)
-        moved = scene.robot.tool_pose(step.joint_path[-1]) @ np.linalg.inv(scene.robot.tool_pose(step.joint_path[0]))
+        first, last = (scene.robot.tool_pose(step.joint_path[row], step.grasp.width) for row in (0, -1))
+        moved = last @ np.linalg.inv(first)
         assert np.allclose(end.T_world_held, moved @ part.T_world_part, atol=1e-4)
-        assert np.allclose(scene.robot.tool_pose(end.configuration)[:3, 3], scene.workcell.goal, atol=1e-3)
+        T_world_tool = scene.robot.tool_pose(end.configuration, step.grasp.width)
+        assert np.allclose(T_world_tool[:3, 3], scene.workcell.goal, atol=1e-3)
         assert not start.standing >> start.held & 1
     assert scene.moment(len(scene.steps) - 1, 0.0).standing == 0
 

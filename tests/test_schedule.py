@@ -14,7 +14,7 @@ import pytest
 
 from schedule_tasks import AddTask, diamond, done, processes
 from takeapart.experiments import jobs as jobs_module
-from takeapart.experiments.jobs import Job, job_keys, sources_digest
+from takeapart.experiments.jobs import Job, job_keys
 from takeapart.experiments.schedule import Kept, ScheduleProgress, Store, _Estimate, run_schedule
 from takeapart.experiments.workers import LocalWorkers, RayWorkers, Workers, open_workers
 from takeapart.model.errors import InputError, TakeapartError
@@ -145,29 +145,12 @@ def test_jobs_must_stand_after_what_they_need_and_only_once() -> None:
         job_keys([second, second])
 
 
-def test_keys_follow_code_but_not_comments(tmp_path: Path) -> None:
-    source = tmp_path / "removal" / "planner.py"
-    tasks, other = tmp_path / "experiments" / "paper_tasks.py", tmp_path / "cli" / "show.py"
-    for path in (source, tasks, other, tmp_path / "experiments" / "beyond_tasks.py"):
-        path.parent.mkdir(exist_ok=True)
-        path.write_text('"""Old."""\n\n\ndef f():\n    """Old."""\n    return 1\n')
-    before = sources_digest(tmp_path)
-    other.write_text("changed = 1\n")
-    source.write_text('"""New."""\n\n\ndef f():  # new\n    return 1\n')
-    sources_digest.cache_clear()
-    assert sources_digest(tmp_path) == before
-    for path in (source, tasks):
-        path.write_text("def f():\n    return 2\n")
-        sources_digest.cache_clear()
-        assert sources_digest(tmp_path) != before
-        before = sources_digest(tmp_path)
-
-
-def test_every_name_that_shapes_nothing_stands_for_something() -> None:
-    package = Path(jobs_module.__file__).parents[1]
-    files = {path.relative_to(package).as_posix() for path in package.rglob("*.py")}
-    for name in jobs_module.SHAPING_NOTHING:
-        assert any(file.startswith(name) for file in files), name
+def test_modules_with_tasks_are_those_that_count() -> None:
+    package = Path(jobs_module.__file__).parent
+    holding = {path.stem for path in package.glob("*.py") if "Task:" in path.read_text() or "Task(" in path.read_text()}
+    assert {f"experiments.{name}" for name in holding} >= set(jobs_module.TASKS)
+    for name in jobs_module.TASKS:
+        assert (package / f"{name.split('.')[1]}.py").is_file()
 
 
 def test_the_time_left_follows_from_cost_and_seconds() -> None:

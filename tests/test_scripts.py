@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from takeapart.experiments import growth
+import growth
 from takeapart.formats.documents import readable_json, write_atomically
 
 ROOT = Path(__file__).parents[1]

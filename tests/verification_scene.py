@@ -182,4 +182,6 @@ def scene_plan() -> Plan:
         versions={},
         assembly="scene",
         workcell="scene",
+        robot="panda",
+        joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
     )

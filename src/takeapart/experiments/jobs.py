@@ -6,17 +6,14 @@ is worth as much as its key, a digest of everything that shapes it.
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
-import takeapart
 from takeapart.formats.documents import canonical_json
 from takeapart.model.errors import InputError
 
@@ -26,23 +23,8 @@ Outcome = dict[str, Any]
 Files = Mapping[str, bytes]
 """Contents by path below the folder of a job."""
 
-# Code that shapes no result: everything else in the package is taken to do so. A path stands for all that starts so.
-SHAPING_NOTHING = (
-    "_",
-    "cli/",
-    "compilation.py",
-    "experiments/",
-    "formats/messages.py",
-    "generate/profile",
-    "page/",
-    "pictures/",
-    "planning/run",
-    "report/",
-    "show/",
-    "verification/",
-    "viewer/",
-)
-SHAPING_EXPERIMENTS = ("beyond_tasks", "paper_tasks")
+TASKS = ("experiments.beyond_tasks", "experiments.paper_tasks")
+"""Modules that hold the work of jobs."""
 
 
 class Task(Protocol):
@@ -138,7 +120,10 @@ def job_keys(jobs: Sequence[Job]) -> dict[str, str]:
     Raises:
         InputError: a name stands twice, or a job needs one that does not stand before it.
     """
-    from takeapart.planning import versions  # here, so that worker processes of light tasks start at once
+    from takeapart.planning import (  # here, so that worker processes of light tasks start at once
+        sources_digest,
+        versions,
+    )
 
     keys: dict[str, str] = {}
     for job in jobs:
@@ -150,28 +135,8 @@ def job_keys(jobs: Sequence[Job]) -> dict[str, str]:
             "task": type(job.task).__name__,
             "identity": job.task.identity(),
             "versions": versions(),
-            "sources": sources_digest(),
+            "sources": sources_digest(TASKS),
             "needs": {name: keys[name] for name in job.needs},
         }
         keys[job.name] = hashlib.sha256(canonical_json(described).encode()).hexdigest()
     return keys
-
-
-@cache
-def sources_digest(package: Path = Path(takeapart.__file__).parent) -> str:
-    """Digest of the code that shapes results. Comments, docstrings and layout are not in it."""
-    digest = hashlib.sha256()
-    for path in _shaping_files(package):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, False):
-                node.body = node.body[1:]
-        digest.update(f"{path.relative_to(package).as_posix()}\n{ast.dump(tree)}\n".encode())
-    return digest.hexdigest()
-
-
-def _shaping_files(package: Path) -> Iterator[Path]:
-    for path in sorted(package.rglob("*.py")):
-        if not path.relative_to(package).as_posix().startswith(SHAPING_NOTHING):
-            yield path
-    yield from (package / "experiments" / f"{name}.py" for name in SHAPING_EXPERIMENTS)

@@ -19,7 +19,6 @@ import numpy as np
 
 from takeapart.experiments.paired_statistics import mean_interval
 from takeapart.experiments.paper_settings import SETS
-from takeapart.experiments.speed import new_problem
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.guide.experience import Experience, ExperienceWriter, Values, known_values, read_experience, together
@@ -27,11 +26,13 @@ from takeapart.guide.policy import load_guide
 from takeapart.guide.training import TeacherName, TrainingOptions, train
 from takeapart.model.assembly import Assembly
 from takeapart.problem import AssemblyProblem, Guide
+from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
 from takeapart.search.baselines import OrderOptions, greedy, random_order
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget
+from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell
 
 RANDOM = "random choice"
@@ -92,7 +93,8 @@ class Judgement:
 
 def solve(assembly: Assembly, workcell: Workcell, robot: RobotModel, folder: Path, seed: int) -> Solved:
     """Closes an assembly; its experience is written into the folder."""
-    problem = new_problem(assembly, workcell, robot, seed)
+    planner = RemovalPlanner(assembly, workcell, robot=robot)
+    problem = AssemblyProblem(planner, ConnectorStability(assembly), seed)
     with ExperienceWriter(folder, assembly, seed=seed, search="exact") as writer:
         found = exact(problem, ExactOptions(), Budget(), observe_settled=writer.observe_settled)
     return Solved(problem, found.length, known_values(read_experience(folder)))

@@ -26,6 +26,7 @@ import numpy as np
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.documents import write_atomically
 from takeapart.formats.files import data_path, load_assembly, load_plan, load_workcell, save_plan
+from takeapart.formats.serialization import workcell_hash
 from takeapart.model.assembly import members
 from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, build_problem, plan_of, search, sources_digest
@@ -52,7 +53,7 @@ class Settings:
         beam_width: small, so that beam search comes to its end and needs no budget.
         episodes: of MCTS, and number of random restarts.
         agreement_orders: random orders on whose states the connector rule is compared with physics.
-        workcell: name of a shipped one.
+        workcell: name of a shipped one, or a file.
     """
 
     searches: tuple[str, ...] = tuple(SEARCHES)
@@ -233,9 +234,9 @@ def progress_line(verdict: Verdict) -> str:
 
 def fingerprint(name: str, settings: Settings) -> str:
     """Digest of everything that shapes the outcome of an assembly: sources, data, options."""
-    digest = hashlib.sha256(json.dumps([name, asdict(settings), sources_digest()]).encode())
-    for data in (f"{name}.json", f"workcells/{settings.workcell}.toml"):
-        digest.update(data_path(data).read_bytes())
+    cell = workcell_hash(load_workcell(settings.workcell))  # with its robot and the robot's files
+    digest = hashlib.sha256(json.dumps([name, asdict(settings), sources_digest(), cell]).encode())
+    digest.update(data_path(f"{name}.json").read_bytes())
     return digest.hexdigest()
 
 
@@ -341,8 +342,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--document", type=Path, help="document whose tables are replaced")
     parser.add_argument("--searches", nargs="+", choices=SEARCHES, default=list(SEARCHES), help="only these")
     parser.add_argument("--exact-queries", type=int, default=Settings.exact_queries, help="budget of exact search")
+    parser.add_argument(
+        "--workcell", default=Settings.workcell, help="a shipped workcell, or a file that ends in .toml"
+    )
     given = parser.parse_args(arguments)
-    settings = Settings(tuple(given.searches), given.random_seeds, given.exact_queries)
+    settings = Settings(tuple(given.searches), given.random_seeds, given.exact_queries, workcell=given.workcell)
     names = given.assemblies or shipped
     if given.quick:
         names = given.assemblies or [name for name in QUICK if name in shipped]

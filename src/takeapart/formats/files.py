@@ -101,6 +101,8 @@ def load_plan(path: PathLike) -> Plan:
         assembly=model.assembly,
         workcell=model.workcell,
         direction=model.direction,
+        robot=model.robot or "",
+        joints=tuple(model.joints or ()),
         extra=dict(model.extra),
     )
 

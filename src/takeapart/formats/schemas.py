@@ -194,11 +194,16 @@ class HashesModel(_Model):
     workcell: Hash
 
 
+LinkName = Annotated[str, Field(min_length=1, max_length=256)]  # of a robot, link or joint, as its URDF has it
+
+
 class PlanModel(_Model):
-    """Plan file. `extra` is written only where there is something in it."""
+    """Plan file. `extra` is written only where there is something in it; version 1 has neither robot nor joints."""
 
     format: Literal["takeapart/plan"]
-    version: Literal[1]
+    version: Literal[1, 2]
+    robot: LinkName | None = None
+    joints: Annotated[list[LinkName], Field(min_length=1, max_length=MAXIMUM_JOINTS, fail_fast=True)] | None = None
     assembly: Name
     workcell: Name
     direction: Literal["disassembly", "assembly"] = "disassembly"
@@ -213,6 +218,26 @@ class PlanModel(_Model):
     versions: Annotated[dict[Text, Text], Field(max_length=100)]
     steps: Annotated[list[StepModel], Field(max_length=MAXIMUM_PARTS, fail_fast=True)]
     extra: Free = {}
+
+    @model_validator(mode="after")
+    def _joints_of_paths(self) -> PlanModel:
+        for key in ("robot", "joints"):
+            absent = getattr(self, key) is None
+            if absent == (self.version == 2):
+                text = f"there is {'no' if absent else 'a'} key {key!r}; version 1 has none, version 2 has one"
+                raise PydanticCustomError("version", "{text}", {"text": text})
+        if self.joints is None:
+            return self
+        if len(set(self.joints)) < len(self.joints):
+            twice = next(name for name in self.joints if self.joints.count(name) > 1)
+            text = f"joints: {shortened(twice)} stands twice; every joint has a name of its own"
+            raise PydanticCustomError("joints", "{text}", {"text": text})
+        for i, step in enumerate(self.steps):
+            angles = len(step.joint_path[0])
+            if angles != len(self.joints):
+                text = f"steps[{i}].joint_path has {angles} angles in a row, but {len(self.joints)} joints are named"
+                raise PydanticCustomError("joints", "{text}", {"text": text})
+        return self
 
 
 class RobotModel(_Model):
@@ -280,12 +305,13 @@ def validated(model: type[Model], data: object, where: str) -> Model:
 
 def _check_heading(model: type[_Model], data: object, where: str) -> None:
     (form,) = model.model_fields["format"].annotation.__args__  # type: ignore[union-attr]
-    (version,) = model.model_fields["version"].annotation.__args__  # type: ignore[union-attr]
+    versions = model.model_fields["version"].annotation.__args__  # type: ignore[union-attr]
     if not isinstance(data, dict):
         raise InputError(f'holds {kind_of(data)}; must be an object with "format": "{form}"', where)
     if data.get("format") != form:
         found = f"format {shortened(data['format'])}" if "format" in data else "there is no key 'format'"
         raise InputError(f"{found}; must be {form!r}", f"{where}: format")
-    if type(data.get("version")) is not int or data["version"] != version:
+    if type(data.get("version")) is not int or data["version"] not in versions:
         found = f"version {shortened(data['version'])}" if "version" in data else "there is no key 'version'"
-        raise InputError(f"{found}; this release reads version {version}", f"{where}: version")
+        readable = " and ".join(str(version) for version in versions)
+        raise InputError(f"{found}; this release reads version {readable}", f"{where}: version")

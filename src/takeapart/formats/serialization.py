@@ -84,7 +84,8 @@ def motion_hash(plan: Plan) -> str:
     """SHA-256 of what a plan has the arm do, whichever way round it is told: assembly, workcell and steps."""
     removals = plan if plan.direction == "disassembly" else plan.inverted()
     document = _plain(plan_document(removals))  # a plan with numbers missing is refused by the verification, not here
-    return _hash({key: document[key] for key in ("assembly", "workcell", "hashes", "steps")})
+    keys = ("assembly", "workcell", "joints", "hashes", "steps")
+    return _hash({key: document[key] for key in keys if key in document})
 
 
 def _hash(document: Document) -> str:
@@ -164,7 +165,7 @@ def plan_document(plan: Plan) -> Document:
     """The plan as its file holds it."""
     document = {
         "format": "takeapart/plan",
-        "version": 1,
+        **_arm_document(plan),
         "assembly": plan.assembly,
         "workcell": plan.workcell,
         "direction": plan.direction,
@@ -193,6 +194,12 @@ def plan_document(plan: Plan) -> Document:
         ],
     }
     return {**document, "extra": _plain(plan.extra)} if plan.extra else document
+
+
+def _arm_document(plan: Plan) -> Document:
+    """Version, and whose joints the paths are of: what was read from a file of version 1 is written as one, because it
+    does not say that."""
+    return {"version": 2, "robot": plan.robot, "joints": list(plan.joints)} if plan.joints else {"version": 1}
 
 
 def _plain(value: Any) -> Any:

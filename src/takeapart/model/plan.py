@@ -30,7 +30,8 @@ class PlanStep:
     Args:
         part: name of the part.
         grasp: at the start of the removal.
-        joint_path: (M, n) joint angles, rad; linear interpolation between rows is what the arm does.
+        joint_path: (M, n) joint angles, rad, in the order of `Plan.joints`; linear interpolation between rows is what
+            the arm does.
         tool_path: (M, 7) tool poses of the same rows: x, y, z in m, then the quaternion w, x, y, z; world frame.
         length: sum of distances between consecutive tool positions, m (Eq. 2).
     """
@@ -62,6 +63,9 @@ class Plan:
         versions: of the package and the libraries that shape the result.
         assembly: the assembly's name.
         workcell: the workcell's name.
+        robot: name of the arm with its gripper; empty in plans from files of version 1.
+        joints: names of the arm's joints, one per column of a joint path; empty in plans from files of version 1, where
+            they are those of the workcell's arm.
     """
 
     steps: tuple[PlanStep, ...]
@@ -77,6 +81,8 @@ class Plan:
     assembly: str
     workcell: str
     direction: str = "disassembly"
+    robot: str = ""
+    joints: tuple[str, ...] = ()
     extra: dict[str, object] = field(default_factory=dict)
 
     def inverted(self) -> Plan:

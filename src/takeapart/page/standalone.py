@@ -28,15 +28,15 @@ from takeapart.planning.run_journal import recorded_answers
 from takeapart.planning.runs import JOURNAL
 from takeapart.show.facts import PartFacts, part_facts, why_not_earlier
 from takeapart.show.markup import digest_source
-from takeapart.show.playback import PLAYBACK
+from takeapart.show.playback import GRIP, PLAYBACK, SPEEDS, TOOL_SPEED
 from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, coarser
-from takeapart.show.scene import CURRENT, GOAL, PATH, STEEL, PlanScene
+from takeapart.show.scene import CURRENT, FINGERS_OPEN, GOAL, PATH, STEEL, PlanScene
 from takeapart.show.subject import load_subject
 from takeapart.show.view import view_of
 
 ASSETS = Path(__file__).resolve().parent / "assets"
 MAXIMUM_BYTES = 10 * 2**20
-FORMAT, VERSION = "takeapart/page", 1
+FORMAT, VERSION = "takeapart/page", 2
 CREASE = math.radians(40)  # edges sharper than this stay sharp
 HULL_CELL = 0.008  # m, details of shadows below this are merged
 LIGHT = np.array([-0.38, -0.55, 1.0])  # toward it, for who looks from "corner"
@@ -110,7 +110,13 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
         if plan is None
         else {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
         "bounds_note": "" if plan is None else explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
-        "playback": PLAYBACK,
+        "playback": {
+            "note": PLAYBACK,
+            "grip": GRIP,
+            "tool_speed": TOOL_SPEED,
+            "fingers_open": FINGERS_OPEN,
+            "speeds": SPEEDS,
+        },
         "counts": {} if plan is None else plan.counts,
         "colors": {"current": CURRENT, "path": PATH, "goal": GOAL, "obstacle": STEEL},
         "parts": [_part(scene, i, each) for i, each in enumerate(facts)],
@@ -172,7 +178,7 @@ def _step(scene: PlanScene, k: int) -> dict[str, Any]:
         "length": step.length,
         "width": step.grasp.width,
         "grasp": scene.grasp_text(k),
-        "tool": _numbers(scene.T_tool_parts[k]),
+        "held": _numbers(scene.T_hand_parts[k]),
         "rows": len(step.joint_path),
         "joints": _packed(np.asarray(step.joint_path, dtype="<f4")),
         "along": _packed(scene.along(k).astype("<f4")),
@@ -185,12 +191,14 @@ def robot_document(robot: RobotVisual) -> dict[str, Any]:
     return {
         "base": _numbers(robot.T_world_base),
         "hand": robot.hand,
-        "tool": list(robot.description.T_hand_tool),
+        "openings": _numbers(np.array(robot.description.gripper.openings)),
+        "positions": [_numbers(np.array(row)) for row in robot.description.gripper.positions],
         "links": [
             {
                 "parent": link.parent,
                 "pose": _numbers(link.T_parent_joint),
                 "joint": link.joint,
+                "follows": [link.multiplier, link.offset],
                 "slides": link.slides,
                 "axis": _numbers(link.axis),
                 "meshes": [_mesh(mesh) for mesh in link.meshes],

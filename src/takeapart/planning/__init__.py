@@ -15,9 +15,8 @@ from takeapart.planning.plans import (
     plan_of,
     run_identity,
     search,
-    sources_digest,
-    versions,
 )
+from takeapart.planning.shaping import sources_digest, versions
 from takeapart.search.registry import SEARCHES
 
 __all__ = [

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import importlib.metadata
 import math
 import time
 from collections.abc import Sequence
@@ -14,12 +11,12 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-import takeapart
 from takeapart.formats.serialization import assembly_hash, workcell_hash
 from takeapart.model.assembly import Assembly, members
 from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.planning.runs import Identity, Run, RunBudget, finished_plan, open_run
+from takeapart.planning.shaping import sources_digest, versions
 from takeapart.problem import AssemblyProblem, Guide, Problem
 from takeapart.removal.journal import QueryJournal
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
@@ -33,7 +30,6 @@ from takeapart.workcell import Workcell
 
 MAXIMUM_HISTORY = 400  # rows of a plan's search history
 TOLD = 6  # reasons in a sentence
-SHAPING_PACKAGES = ("numpy", "numba", "ssik", "example-robot-data")
 
 
 @dataclass(frozen=True)
@@ -210,7 +206,8 @@ def run_identity(
 ) -> Identity:
     """All that shapes a plan, as the description of a run holds it. The number of threads shapes nothing.
 
-    The sources are part of it: while they are worked on, the version stays the same, but the answers do not.
+    The sources are part of it: while they are worked on, the version stays the same, but the answers do not. Those are
+    meant that shape an answer, see `takeapart.planning.shaping`.
     """
     described = asdict(options) | {"search_options": asdict(options.of_search())}
     del described["seed"]
@@ -315,6 +312,8 @@ def plan_of(
         versions=versions(),
         assembly=assembly.name,
         workcell=workcell.name,
+        robot=workcell.description.name,
+        joints=workcell.description.arm.joints,
     )
 
 
@@ -341,22 +340,6 @@ def explain(problem: AssemblyProblem, state: int, refusals: Sequence[Blocked] = 
         Hindrance(parts[blocked.part].name, problem.reasons.of(blocked, state))
         for blocked in blocked_parts(problem, state, refusals)
     )
-
-
-def versions() -> dict[str, str]:
-    """Versions of the package and of the libraries that shape a plan."""
-    return {"takeapart": takeapart.__version__} | {name: importlib.metadata.version(name) for name in SHAPING_PACKAGES}
-
-
-@functools.cache
-def sources_digest() -> str:
-    """Digest of all sources of the package, as this process found them first."""
-    package = Path(takeapart.__file__).parent
-    digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        content = source.read_bytes()
-        digest.update(f"{source.relative_to(package)} {len(content)}:".encode() + content)
-    return digest.hexdigest()
 
 
 def _step(assembly: Assembly, removal: Removal) -> PlanStep:

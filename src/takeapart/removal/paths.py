@@ -19,6 +19,7 @@ from takeapart.motion.edges import waypoints
 from takeapart.motion.legs import bends, two_legs
 from takeapart.motion.rrt import rrt_connect
 from takeapart.motion.smooth import shorten
+from takeapart.removal.margins import CHECK_STEP
 from takeapart.removal.reach import Hand
 from takeapart.removal.situation import Situation
 
@@ -50,7 +51,7 @@ class RemovalOptions:
         shortening_patience: moves without gain that end it.
     """
 
-    check_step: float = 0.001
+    check_step: float = CHECK_STEP
     lift_check_step: float = 0.002
     waypoint_spacing: float = 0.05
     row_spacing: float = 0.016

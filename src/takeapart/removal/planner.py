@@ -20,6 +20,7 @@ from takeapart.motion.scene import Scene
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import lift_blockers
+from takeapart.removal.margins import padding, passing
 from takeapart.removal.masks import flags_of, state_of
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
 from takeapart.removal.placement import require_placement, require_reached_goal
@@ -36,7 +37,6 @@ from takeapart.robot.world import build_world, owner_fields, with_field
 from takeapart.workcell import Workcell
 
 KEPT_WORLDS = 64  # clearance fields of states that are kept
-PLANNING_MARGIN = 1e-4  # m, kept while planning over what the final check asks for, so that it does not fail by a hair
 
 LARGEST_BEND = 5e-5  # m, by which the motion along a path may exceed the path from row to row
 MAXIMUM_HALVINGS = 6  # of the spacing of rows; each leaves a quarter of the bend
@@ -80,11 +80,10 @@ class RemovalPlanner:
             require_placement(assembly, workcell, self.robot)
         self.counts = Counts()
         self._parts = len(assembly.parts)
-        # Whatever passes a check keeps the workcell's clearance between two checks too.
-        self._padding = workcell.clearance + options.check_step / 2 + PLANNING_MARGIN
+        self._padding = padding(workcell.clearance, options.check_step)
         obstacles = tuple(obstacle.box for obstacle in workcell.environment)
-        passing = workcell.clearance + PLANNING_MARGIN  # the lift is straight: nothing is added for what bends
-        self.lift_blockers = lift_blockers(assembly, workcell.lift_height, self._padding, obstacles, passing)
+        kept = passing(workcell.clearance)
+        self.lift_blockers = lift_blockers(assembly, workcell.lift_height, self._padding, obstacles, kept)
         boxes: list[tuple[OrientedBox, int]] = []
         for i, part in enumerate(assembly.parts):
             owner = self._parts if part.fixed else i

@@ -9,13 +9,11 @@ from takeapart.model.assembly import Assembly, members
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.lifting import lift_blockers
+from takeapart.removal.margins import padding, passing
 from takeapart.removal.result import Blocked, Removal
 from takeapart.show.scene import PlanScene, role_of
 from takeapart.stability import ConnectorStability
 
-# What the planner keeps at the end of a lift beside the workcell's clearance with its default options, m: half of
-# `check_step`, and `PLANNING_MARGIN`. The planner itself is not loaded for a picture.
-LIFT_MARGIN = 0.0006
 SHOWN_ALTERNATIVES = 6
 
 Answers = Sequence[tuple[RemovalQuery, RecordedAnswer]]
@@ -78,9 +76,8 @@ def hindrances(scene: PlanScene) -> list[tuple[int, int]]:
     """Per part the states of the parts that gravity, and lifting, want gone before it; root where it never lifts."""
     assembly, cell = scene.assembly, scene.workcell
     stability = ConnectorStability(assembly)
-    lifting = lift_blockers(
-        assembly, cell.lift_height, cell.clearance + LIFT_MARGIN, tuple(o.box for o in cell.environment), cell.clearance
-    )
+    obstacles = tuple(obstacle.box for obstacle in cell.environment)
+    lifting = lift_blockers(assembly, cell.lift_height, padding(cell.clearance), obstacles, passing(cell.clearance))
     return [
         (0, 0)
         if part.fixed

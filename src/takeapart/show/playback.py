@@ -6,15 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-from takeapart.show.scene import FINGERS_OPEN
+from takeapart.show.scene import FINGERS_OPEN, TURNING
 
 GRIP = 0.4  # s, to close the gripper, and to open it
 TOOL_SPEED = 0.25  # m/s, as it is shown; how fast the arm may go is no matter of a plan
+SPEEDS = {"½×": 0.5, "1×": 1.0, "2×": 2.0, "4×": 4.0, "10×": 10.0}
+"""How many times as fast a plan can be played, by the name that is shown."""
+
+USUAL_SPEED = "1×"
+
 PLAYBACK = (
     "Playback time, not the arm's: a plan has no timing. It is proportional to the gripper's way "
-    "(0.25 m/s at 1x, turning counted as 5 cm per radian), with 0.4 s to grip and 0.4 s to let go."
+    f"({TOOL_SPEED:g} m/s at {USUAL_SPEED}, turning counted as {100 * TURNING:g} cm per radian), with {GRIP:g} s to "
+    f"grip and {GRIP:g} s to let go."
 )
-SPEEDS = {"½x": 0.5, "1x": 1.0, "2x": 2.0, "4x": 4.0, "10x": 10.0}
 
 
 @dataclass(frozen=True)

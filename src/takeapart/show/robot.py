@@ -1,29 +1,23 @@
-"""The arm as it looks: meshes of its links from URDF, and where the links are at a configuration.
+"""The robot as it looks: meshes of its links from URDF, and where the links are at a configuration and an opening.
 
 For pictures only. The planner has kinematics of its own (`takeapart.robot`), and so has the verification.
 """
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import os
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.caching import cache_folder
+from takeapart.model.description import RobotDescription
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, pose
-from takeapart.workcell import RobotDescription
-
-if TYPE_CHECKING:
-    import trimesh  # loaded where a file is read: the cache spares that
+from takeapart.robot.urdf import Geometry, Link, Urdf, read_urdf
+from takeapart.robot.urdf.meshes import digest_of, geometry_meshes
 
 CELL = 0.004  # m, details of meshes below this are merged
 BROWSER_CELL = 0.006  # m, the same in browsers
@@ -53,7 +47,8 @@ class LinkVisual:
         name: of the link.
         parent: number of the parent in `RobotVisual.links`; -1 for the base.
         T_parent_joint: (4, 4), at position zero of the joint.
-        joint: number of the arm's joint that moves it, -1 for none; -2 for a joint of a finger.
+        joint: number of the joint that moves it among `RobotVisual.values`; -1 for none.
+        multiplier, offset: the joint stands at multiplier * value + offset, rad or m: some follow others.
         slides: whether the joint is prismatic.
         axis: (3,) unit vector of the joint in its own frame.
         meshes: in the link's frame.
@@ -63,12 +58,11 @@ class LinkVisual:
     parent: int
     T_parent_joint: Array
     joint: int
+    multiplier: float
+    offset: float
     slides: bool
     axis: Array
     meshes: tuple[Mesh, ...]
-
-
-FINGER = -2
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +72,7 @@ class RobotVisual:
     Args:
         description: where the robot's files are.
         T_world_base: (4, 4).
-        hand: number of the link that carries the tool frame.
+        hand: number of the gripper's base link, which carries the held part.
         links: parents first.
     """
 
@@ -87,15 +81,23 @@ class RobotVisual:
     hand: int
     links: tuple[LinkVisual, ...]
 
+    def values(self, configuration: Array, opening: float) -> Array:
+        """Positions of the joints that links name: of the arm (n,), rad, then those that an opening, m, sets in the
+        gripper, rad or m."""
+        gripper = self.description.gripper
+        positions = gripper.joint_positions(opening)
+        return np.array([*configuration, *(positions[name] for name in gripper.joints)], dtype=float)
+
     def poses(self, configuration: Array, opening: float) -> Array:
         """Poses (L, 4, 4) of all links in the world, at joint angles (n,), rad, and an opening of the fingers, m."""
+        values = self.values(configuration, opening)
         T = np.empty((len(self.links), 4, 4))
         for number, link in enumerate(self.links):
             parent = self.T_world_base if link.parent < 0 else T[link.parent]
             T[number] = parent @ link.T_parent_joint
-            if link.joint == -1:
+            if link.joint < 0:
                 continue
-            position = opening / 2 if link.joint == FINGER else float(configuration[link.joint])
+            position = link.multiplier * values[link.joint] + link.offset
             if link.slides:
                 T[number, :3, 3] += T[number, :3, :3] @ (link.axis * position)
             else:
@@ -108,119 +110,84 @@ class RobotVisual:
         every = [np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in link.meshes)]) for link in self.links]
         return [merged(vertices, cell)[0] if len(vertices) else vertices for vertices in every]
 
-    def tool_pose(self, configuration: Array) -> Array:
-        """Pose (4, 4) of the tool in the world."""
-        T_hand_tool = np.eye(4)
-        T_hand_tool[:3, 3] = self.description.T_hand_tool
-        return np.asarray(self.poses(configuration, 0.0)[self.hand] @ T_hand_tool)
+    def hand_pose(self, configuration: Array) -> Array:
+        """Pose (4, 4) of the gripper's base link in the world; the opening does not move it."""
+        return np.asarray(self.poses(configuration, 0.0)[self.hand])
+
+    def tool_pose(self, configuration: Array, opening: float) -> Array:
+        """Pose (4, 4) of the tool in the world at an opening, m."""
+        return np.asarray(self.hand_pose(configuration) @ self.description.gripper.T_base_tool(opening))
 
 
 def load_robot_visual(description: RobotDescription, T_world_base: Array) -> RobotVisual:
     """The look of a robot.
 
     Raises:
-        InputError: its files are missing, or its links hang on each other in a way that is not understood.
+        InputError: its files are missing, or do not hold the links that the description names.
     """
-    urdf = ElementTree.parse(description.path(description.urdf)).getroot()
-    joints = {_child(joint, "child", "link"): joint for joint in urdf.findall("joint")}
-    elements = {str(link.get("name")): link for link in urdf.findall("link")}
-    order = [description.base_link]
-    for name in order:
-        order += [child for child, joint in joints.items() if _child(joint, "parent", "link") == name]
-    missing = [link for link in description.hand_links if link not in order]
-    if missing:
-        raise InputError(f"link {missing[0]!r} does not hang on {order[0]!r}", f"{description.name}: links")
-    number = {name: i for i, name in enumerate(order)}
-    links = tuple(_link(name, elements[name], joints.get(name), number, description) for name in order)
-    return RobotVisual(description, T_world_base, number[description.hand_links[0]], links)
+    arm, gripper = description.arm, description.gripper
+    urdf, hand = read_urdf(arm.files), read_urdf(gripper.files)
+    cut = frozenset(arm.left_out) | ({gripper.base_link} if hand.files.urdf == urdf.files.urdf else frozenset())
+    links: list[LinkVisual] = []
+    _hang(links, urdf, urdf.subtree(arm.base_link, cut), arm.joints, 0)
+    names = [link.name for link in links]
+    if arm.flange_link not in names:
+        raise InputError(f"link {arm.flange_link!r} does not hang on {arm.base_link!r}", urdf.where)
+    number = len(links)
+    _hang(links, hand, hand.subtree(gripper.base_link), gripper.joints, len(arm.joints))
+    mounted = replace(links[number], parent=names.index(arm.flange_link), T_parent_joint=description.T_flange_gripper)
+    links[number] = mounted
+    return RobotVisual(description, T_world_base, number, tuple(links))
 
 
-def _link(
-    name: str,
-    element: ElementTree.Element,
-    joint: ElementTree.Element | None,
-    number: dict[str, int],
-    description: RobotDescription,
-) -> LinkVisual:
-    meshes = _meshes(element, description)
-    if joint is None or name == description.base_link:
-        return LinkVisual(name, -1, np.eye(4), -1, False, np.array([0.0, 0.0, 1.0]), meshes)
-    joint_name, kind = str(joint.get("name")), joint.get("type")
-    moving = -1
-    if joint_name in description.arm_joints:
-        moving = description.arm_joints.index(joint_name)
-    elif joint_name in description.finger_joints:
-        moving = FINGER
-    axis = _numbers(_child(joint, "axis", "xyz") or "1 0 0")
-    parent = number[_child(joint, "parent", "link")]
-    return LinkVisual(name, parent, _origin(joint), moving, kind == "prismatic", axis / np.linalg.norm(axis), meshes)
+def _hang(links: list[LinkVisual], urdf: Urdf, names: Sequence[str], joints: Sequence[str], first: int) -> None:
+    """Adds links of a file, the first of which hangs on nothing; its joints are numbered from `first`. Joints that are
+    not named and follow none of them stand at zero."""
+    number = {name: len(links) + i for i, name in enumerate(names)}
+    z = np.array([0.0, 0.0, 1.0])
+    links.append(LinkVisual(names[0], -1, np.eye(4), -1, 1.0, 0.0, False, z, _meshes(urdf, urdf.links[names[0]])))
+    for name in names[1:]:
+        joint = urdf.above[name]
+        driver = urdf.driver(joint.name)
+        moving = first + joints.index(driver) if joint.kind != "fixed" and driver in joints else -1
+        offset = urdf.value(joint.name, {driver: 0.0})
+        multiplier = urdf.value(joint.name, {driver: 1.0}) - offset
+        meshes = _meshes(urdf, urdf.links[name])
+        slides = joint.kind == "prismatic"
+        links.append(
+            LinkVisual(
+                name, number[joint.parent], joint.T_parent, moving, multiplier, offset, slides, joint.axis, meshes
+            )
+        )
 
 
-def _child(element: ElementTree.Element, child: str, attribute: str) -> str:
-    found = element.find(child)
-    return "" if found is None else found.get(attribute, "")
+def _meshes(urdf: Urdf, link: Link) -> tuple[Mesh, ...]:
+    """Of the visual geometry; of the collision geometry where there is none, or its files cannot be read."""
+    try:
+        return tuple(mesh for shape in link.visuals or link.collisions for mesh in _shape_meshes(urdf, shape))
+    except InputError:
+        if not link.visuals:
+            raise
+        return tuple(mesh for shape in link.collisions for mesh in _shape_meshes(urdf, shape))
 
 
-def _numbers(text: str) -> Array:
-    return np.array([float(number) for number in text.split()])
+def _shape_meshes(urdf: Urdf, shape: Geometry) -> list[Mesh]:
+    found = _simplified_meshes(urdf, replace(shape, T_link=np.eye(4), color=None))
+    R, p = shape.T_link[:3, :3], shape.T_link[:3, 3]
+    moved = [np.asarray(mesh.vertices @ R.T + p, dtype=np.float32) for mesh in found]
+    return [Mesh(vertices, mesh.faces, shape.color or mesh.color) for vertices, mesh in zip(moved, found, strict=True)]
 
 
-def _origin(element: ElementTree.Element) -> Array:
-    """Pose (4, 4) of the element's <origin>."""
-    roll, pitch, yaw = _numbers(_child(element, "origin", "rpy") or "0 0 0")
-    T = np.eye(4)
-    for angle, axis in ((yaw, (0, 0, 1)), (pitch, (0, 1, 0)), (roll, (1, 0, 0))):
-        T = T @ pose(quaternion=(np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))))
-    T[:3, 3] = _numbers(_child(element, "origin", "xyz") or "0 0 0")
-    return T
-
-
-def _meshes(link: ElementTree.Element, description: RobotDescription) -> tuple[Mesh, ...]:
-    """Of the visual geometry; of the collision geometry where there is no reader for the visual one's files."""
-    found: list[Mesh] = []
-    for element in link.findall("visual"):
-        file = _child(element, "geometry/mesh", "filename")
-        if file.endswith(".dae") and importlib.util.find_spec("collada") is None:
-            elements = link.findall("collision")
-            return tuple(mesh for other in elements for mesh in _geometry(other, description))
-        found += _geometry(element, description)
-    return tuple(found)
-
-
-def _geometry(element: ElementTree.Element, description: RobotDescription) -> list[Mesh]:
-    T = _origin(element)
-    geometry = element.find("geometry")
-    shape = geometry[0] if geometry is not None and len(geometry) else None
-    if shape is None:
-        return []
-    if shape.tag == "mesh":
-        T[:3, :3] *= _numbers(shape.get("scale", "1 1 1"))
-        found = _file_meshes(description.resolve(shape.get("filename", "")))
-    else:
-        found = _primitive(shape)
-    moved = [np.asarray(mesh.vertices @ T[:3, :3].T + T[:3, 3], dtype=np.float32) for mesh in found]
-    return [Mesh(vertices, mesh.faces, mesh.color) for vertices, mesh in zip(moved, found, strict=True)]
-
-
-def _primitive(shape: ElementTree.Element) -> list[Mesh]:
-    """A box, a cylinder or a sphere; nothing for what is none of them."""
-    import trimesh.creation
-
-    if shape.tag == "box":
-        mesh = trimesh.creation.box(_numbers(shape.get("size", "1 1 1")))
-    elif shape.tag == "cylinder":
-        mesh = trimesh.creation.cylinder(float(shape.get("radius", 1)), float(shape.get("length", 1)))
-    elif shape.tag == "sphere":
-        mesh = trimesh.creation.icosphere(2, float(shape.get("radius", 1)))
-    else:
-        return []
-    return [Mesh(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int32), PLAIN)]
-
-
-def _file_meshes(path: Path) -> list[Mesh]:
-    """Meshes of a file, simplified; kept in the cache folder by the file's content."""
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:24]
-    file = cache_folder() / f"look-1-{digest}-{CELL * 1e4:.0f}.npz"
+def _simplified_meshes(urdf: Urdf, shape: Geometry) -> list[Mesh]:
+    """A shape in its own frame, scaled, one mesh for each colour. What comes from files is simplified, and kept in the
+    cache folder by the file's content."""
+    if shape.kind != "mesh":
+        return [
+            Mesh(np.asarray(mesh.vertices, dtype=np.float32), mesh.faces.astype(np.int32), PLAIN)
+            for mesh in geometry_meshes(urdf, shape)
+        ]
+    scale = "" if shape.size == (1.0, 1.0, 1.0) else "-" + "-".join(f"{factor:g}" for factor in shape.size)
+    file = cache_folder() / f"look-2-{digest_of(urdf.files.resolve(shape.uri))[:24]}-{CELL * 1e4:.0f}{scale}.npz"
     if file.is_file():
         try:
             with np.load(file, allow_pickle=False) as kept:
@@ -230,7 +197,11 @@ def _file_meshes(path: Path) -> list[Mesh]:
                 ]
         except (OSError, ValueError, KeyError):
             pass  # a damaged cache is made again
-    found = _read_meshes(path)
+    every = (
+        simplified(mesh.vertices, mesh.faces.astype(np.int32), mesh.color or PLAIN)
+        for mesh in geometry_meshes(urdf, shape)
+    )
+    found = [mesh for mesh in every if len(mesh.faces)]
     arrays = {"colors": np.array([mesh.color for mesh in found])}
     for i, mesh in enumerate(found):
         arrays |= {f"vertices{i}": mesh.vertices, f"faces{i}": mesh.faces}
@@ -244,38 +215,10 @@ def _file_meshes(path: Path) -> list[Mesh]:
     return found
 
 
-def _read_meshes(path: Path) -> list[Mesh]:
-    """One simplified mesh per colour of a file."""
-    import trimesh
-
-    by_color: dict[tuple[float, float, float], list[trimesh.Trimesh]] = {}
-    loaded = trimesh.load_scene(path).dump()
-    for mesh in loaded if isinstance(loaded, list) else [loaded]:
-        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-            by_color.setdefault(_color(mesh), []).append(mesh)
-    found = [simplified(*_joined(meshes), color) for color, meshes in by_color.items()]
-    return [mesh for mesh in found if len(mesh.faces)]
-
-
-def _joined(meshes: list[trimesh.Trimesh]) -> tuple[Array, NDArray[np.int32]]:
-    """Vertices (V, 3), m, and faces (F, 3) of all meshes."""
-    offsets = np.cumsum([0, *[len(mesh.vertices) for mesh in meshes]])
-    faces = [np.asarray(mesh.faces) + offset for mesh, offset in zip(meshes, offsets, strict=False)]
-    vertices = np.concatenate([np.asarray(mesh.vertices) for mesh in meshes])
-    return vertices, np.concatenate(faces).astype(np.int32)
-
-
-def _color(mesh: trimesh.Trimesh) -> tuple[float, float, float]:
-    material = getattr(mesh.visual, "material", None)
-    if material is None:
-        return PLAIN
-    red, green, blue = (float(value) / 255 for value in material.main_color[:3])
-    return red, green, blue
-
-
 def coarser(mesh: Mesh, cell: float) -> Mesh:
-    """The same mesh with less detail, for browsers and animations; cell in m."""
-    return simplified(np.asarray(mesh.vertices, dtype=float), mesh.faces, mesh.color, cell)
+    """The same mesh with less detail, for browsers and animations; cell in m. One that is smaller than that stays."""
+    found = simplified(np.asarray(mesh.vertices, dtype=float), mesh.faces, mesh.color, cell)
+    return found if len(found.faces) else mesh
 
 
 def simplified(

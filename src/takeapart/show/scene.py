@@ -35,6 +35,7 @@ FIXED, CURRENT, PATH, GOAL = "#a3a8ae", "#f2683c", "#e4572e", "#2e9e6b"
 OTHERS = ("#4db6c6", "#f0bf4c", "#9a78cf", "#86b978", "#e08f8f", "#7f9cc0")  # roles that the table does not have
 STEEL = "#c9cdd2"  # obstacles
 
+TURNING = 0.05  # m per rad: what turning counts of the way of the tool, as it is shown
 FINGERS_OPEN = 0.02  # m, how much wider than the grasp the gripper is shown before it closes
 LARGEST_MISS = 0.01  # m, of the tool from where its path says; more is a corrupted plan
 LAYOUT_GAP = 0.035  # m, between parts that are laid out
@@ -124,17 +125,19 @@ class PlanScene:
             self._held.append(self._grip(number, step))
 
     def _grip(self, number: int, step: PlanStep) -> Array:
-        """Pose (4, 4) of the part in the tool, once the two ends of the path were found to be where they should be."""
+        """Pose (4, 4) of the part in the gripper's base link, once the two ends of the path were found to be where they
+        should be."""
         for row in (0, -1):
-            miss = float(np.linalg.norm(self.robot.tool_pose(step.joint_path[row])[:3, 3] - step.tool_path[row, :3]))
+            T_world_tool = self.robot.tool_pose(step.joint_path[row], step.grasp.width)
+            miss = float(np.linalg.norm(T_world_tool[:3, 3] - step.tool_path[row, :3]))
             if not miss <= LARGEST_MISS:
                 raise InputError(
                     f"the joints put the tool {miss:.3f} m from where the tool path says; the plan is corrupted, or "
                     "was made for another workcell",
                     f"plan of {self.assembly.name}: steps[{number}] ({step.part})",
                 )
-        T_tool_world = pose_inverse(self.robot.tool_pose(step.joint_path[0]))
-        return np.asarray(T_tool_world @ self.assembly.parts[self.order[number]].T_world_part)
+        T_hand_world = pose_inverse(self.robot.hand_pose(step.joint_path[0]))
+        return np.asarray(T_hand_world @ self.assembly.parts[self.order[number]].T_world_part)
 
     def along(self, step: int) -> Array:
         """Way of the tool (M,) up to each row of a step, m; turning counts a little."""
@@ -146,8 +149,8 @@ class PlanScene:
         return f"{_direction(rotation_from_quaternion(grasp.orientation)[:, 2])}, {1000 * grasp.width:.0f} mm wide"
 
     @property
-    def T_tool_parts(self) -> list[Array]:
-        """Per step the pose (4, 4) of its part in the tool."""
+    def T_hand_parts(self) -> list[Array]:
+        """Per step the pose (4, 4) of its part in the gripper's base link, which does not move while fingers open."""
         return self._held
 
     def state(self, step: int) -> int:
@@ -169,7 +172,7 @@ class PlanScene:
             configuration,
             plan_step.grasp.width if opening is None else opening,
             self.order[step],
-            self.robot.tool_pose(configuration) @ self._held[step],
+            self.robot.hand_pose(configuration) @ self._held[step],
             self._states[step + 1],
             self.order[:step],
         )
@@ -251,14 +254,17 @@ def _along(tool_path: Array) -> Array:
     """Way of the tool (M,) up to each row, m, with the turning counted a little, so that it is seen."""
     moved = np.linalg.norm(np.diff(tool_path[:, :3], axis=0), axis=1)
     cosine = np.abs((tool_path[1:, 3:] * tool_path[:-1, 3:]).sum(axis=1)).clip(0, 1)
-    return np.concatenate([[0.0], np.cumsum(moved + 0.05 * 2 * np.arccos(cosine))])
+    return np.concatenate([[0.0], np.cumsum(moved + TURNING * 2 * np.arccos(cosine))])
 
 
 def _check(plan: Plan, steps: tuple[PlanStep, ...], assembly: Assembly, workcell: Workcell) -> None:
     where = f"plan of {plan.assembly}"
     if assembly_hash(assembly) != plan.hashes.get("assembly"):
         raise InputError(f"was made for another assembly than {assembly.name!r}; give its own with --assembly", where)
-    joints = len(workcell.description.arm_joints)
+    joints = workcell.description.arm.joints
+    if plan.joints and plan.joints != joints:
+        message = f"moves joints {', '.join(plan.joints)}; those of the workcell's arm are {', '.join(joints)}"
+        raise InputError(message, where)
     seen: set[str] = set()
     for number, step in enumerate(steps):
         place = f"{where}: steps[{number}] ({step.part})"
@@ -269,5 +275,5 @@ def _check(plan: Plan, steps: tuple[PlanStep, ...], assembly: Assembly, workcell
         seen.add(step.part)
         if len(step.joint_path) < 2 or len(step.joint_path) != len(step.tool_path):
             raise InputError("joint path and tool path must have the same number of rows, at least 2", place)
-        if step.joint_path.shape[1] != joints:
-            raise InputError(f"{step.joint_path.shape[1]} joints; the arm of the workcell has {joints}", place)
+        if step.joint_path.shape[1] != len(joints):
+            raise InputError(f"{step.joint_path.shape[1]} joints; the arm of the workcell has {len(joints)}", place)

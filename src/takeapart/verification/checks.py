@@ -52,6 +52,15 @@ def check_hashes(plan: Plan, hashes: Mapping[str, str], names: Mapping[str, str]
     return findings
 
 
+def check_robot(plan: Plan, workcell: Workcell) -> list[Finding]:
+    """The joints that the plan moves are those of the workcell's arm, in this order; a file of version 1 names none."""
+    joints = workcell.description.arm.joints
+    if not plan.joints or plan.joints == joints:
+        return []
+    message = f"moves joints {', '.join(plan.joints)}; those of the workcell's arm are {', '.join(joints)}"
+    return [Finding(None, "", None, "robot", message)]
+
+
 def check_order(plan: Plan, assembly: Assembly) -> list[Finding]:
     """Every removable part leaves exactly once, and nothing else does."""
     findings = []

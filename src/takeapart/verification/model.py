@@ -283,6 +283,8 @@ class Scene:
     def near_boxes(self) -> tuple[NDArray[np.intp], Array]:
         """As `near`, of the boxes of the held part and the gripper against those that stand: first by their extents
         along the world's axes, which never miss a pair, then by MuJoCo's distance."""
+        if not len(self._boxes):  # nothing is held, and the gripper has none
+            return np.empty((0, 2), dtype=np.intp), np.empty(0)
         center, reach = self.data.geom_xpos[self._boxes], self._reach(self._boxes)
         lower, upper = (center - reach).min(axis=0) - self.sight, (center + reach).max(axis=0) + self.sight
         around = (self._standing_center - self._standing_reach < upper) & (

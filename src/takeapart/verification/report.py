@@ -12,6 +12,7 @@ from takeapart.workcell import Workcell
 CheckName = Literal[
     "schema",
     "hash",
+    "robot",
     "order",
     "grasp",
     "width",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -77,7 +77,8 @@ def arm_branch(description: RobotDescription) -> UrdfBranch:
     arm, gripper = description.arm, description.gripper
     root, where = _read(arm.files), str(arm.files.urdf)
     tree = _Tree(root, where)
-    links = tree.below(arm.base_link, without=gripper.base_link)
+    same_file = arm.files.urdf == gripper.files.urdf
+    links = tree.below(arm.base_link, {*arm.left_out, *([gripper.base_link] if same_file else [])})
     if arm.flange_link not in links:
         raise InputError(f"link {arm.flange_link!r} does not hang on {arm.base_link!r}", where)
     chain = [tree.joint_above[link] for link in tree.chain(arm.base_link, arm.flange_link)]
@@ -121,7 +122,7 @@ def gripper_branch(description: RobotDescription) -> UrdfBranch:
 def _read(files: RobotFiles) -> ElementTree.Element:
     where = str(files.urdf)
     try:
-        text = files.urdf.read_text(encoding="utf-8")
+        text = _expanded(files.urdf, where) if files.urdf.suffix == ".xacro" else files.urdf.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", where) from None
     # Tools write elements like <drake:declare_convex> without saying what the prefix stands for.
@@ -136,6 +137,18 @@ def _read(files: RobotFiles) -> ElementTree.Element:
     if root.tag != "robot":
         raise InputError(f"begins with <{root.tag}>; a URDF begins with <robot>", where)
     return root
+
+
+def _expanded(path: Path, where: str) -> str:
+    """A xacro file as URDF."""
+    try:
+        import xacro
+    except ImportError:
+        raise InputError("is a xacro file; install what expands it with: pip install xacro", where) from None
+    try:
+        return str(xacro.process_file(str(path)).toxml())
+    except Exception as error:  # whatever its macros raise
+        raise InputError(f"xacro cannot expand it: {_first_line(error)}", where) from None
 
 
 class _Tree:
@@ -156,8 +169,8 @@ class _Tree:
             raise InputError(f"joint {joint.get('name')!r} has no {which} link {name!r}", self.where)
         return name
 
-    def below(self, base: str, without: str = "") -> list[str]:
-        """The base and all links that hang on it, parents first, but nothing from `without` on."""
+    def below(self, base: str, without: Collection[str] = ()) -> list[str]:
+        """The base and all links that hang on it, parents first, but nothing from the links in `without` on."""
         if base not in self.links:
             raise InputError(f"there is no link {base!r}", self.where)
         children: dict[str, list[str]] = {}
@@ -165,7 +178,7 @@ class _Tree:
             children.setdefault(self.end(joint, "parent"), []).append(child)
         order = [base]
         for name in order:
-            order += [child for child in children.get(name, []) if child != without]
+            order += [child for child in children.get(name, []) if child not in without]
             if len(order) > len(self.links):
                 raise InputError(f"links hang on each other in a circle below {base!r}", self.where)
         return order

@@ -24,6 +24,7 @@ from takeapart.verification.checks import (
     check_length,
     check_order,
     check_payload,
+    check_robot,
     check_schema,
     check_stability,
     check_total,
@@ -110,7 +111,7 @@ class Verifier:
             plan = plan.inverted()
         names = {"assembly": assembly.name, "workcell": workcell.name}
         findings = [*check_heading(plan), *check_hashes(plan, self.hashes, names), *check_order(plan, assembly)]
-        findings += self.replay.check_placement()
+        findings += [*check_robot(plan, workcell), *self.replay.check_placement()]
         results: list[StepResult] = []
         state = assembly.root
         for k, step in enumerate(plan.steps):

@@ -17,7 +17,7 @@ import viser
 
 from takeapart.model.geometry import Array
 from takeapart.show.facts import PartFacts, part_facts
-from takeapart.show.playback import PLAYBACK, SPEEDS, Timeline
+from takeapart.show.playback import PLAYBACK, SPEEDS, USUAL_SPEED, Timeline
 from takeapart.show.scene import CURRENT, PATH, PlanScene, darker, rgb
 from takeapart.viewer.drawing import Nodes, as_bytes, draw_light, draw_scene, move
 from takeapart.viewer.explain import Explainer
@@ -216,7 +216,7 @@ class Viewer:
                 "playback, s", 0.0, total, 0.01, 0.0, marks=self._marks(total), visible=has_plan, hint=PLAYBACK
             ),
             play=gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, visible=has_plan),
-            speed=gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1x", visible=has_plan),
+            speed=gui.add_dropdown("speed", tuple(SPEEDS), initial_value=USUAL_SPEED, visible=has_plan),
             direction=gui.add_dropdown(
                 "direction", ("disassembly", "assembly"), initial_value=scene.direction, visible=has_plan
             ),

@@ -8,6 +8,7 @@ from takeapart.planning import build_problem, explain
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.result import Blocked, Effort
 from takeapart.show.facts import PartFacts
+from takeapart.show.figures import LENGTH_ROUNDING
 from takeapart.show.scene import PlanScene
 
 
@@ -34,7 +35,7 @@ class Explainer:
         if isinstance(answer, Blocked):
             return f"{when} the planner finds no way: {self._reason(state, answer)}."
         more = answer.length - facts.length
-        if abs(more) < 5e-4:
+        if abs(more) < LENGTH_ROUNDING:
             return f"{when} it could leave on a path just as long, {answer.length:.3f} m."
         longer = "longer" if more > 0 else "shorter"
         return f"{when} its path would be {answer.length:.3f} m, {abs(more):.3f} m {longer} than in step {facts.step}."

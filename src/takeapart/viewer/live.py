@@ -90,6 +90,8 @@ class LiveSearch:
             versions={},
             assembly=self._assembly.name,
             workcell=self._workcell.name,
+            robot=self._workcell.description.name,
+            joints=self._workcell.description.arm.joints,
         )
 
     def _panel(self) -> None:

@@ -48,30 +48,36 @@ function crc32(text) {  // of ASCII text
 class Arm {
   constructor(robot) { this.robot = robot; }
 
+  // what the joints of the gripper stand at, linear between the openings of the table
+  gripper(opening) {
+    const { openings, positions } = this.robot, last = openings.length - 1;
+    let k = 1;
+    while (k < last && openings[k] < opening) k++;
+    const share = last < 1 ? 0 : Math.min(Math.max((opening - openings[k - 1]) / (openings[k] - openings[k - 1]), 0), 1);
+    return positions.map(row => last < 1 ? row[0] : row[k - 1] * (1 - share) + row[k] * share);
+  }
+
   poses(q, opening) {
-    const T = [];
+    const T = [], values = [...q, ...this.gripper(opening)];
     for (const link of this.robot.links) {
       let pose = multiply(link.parent < 0 ? this.robot.base : T[link.parent], link.pose);
-      if (link.joint !== -1) {
-        const value = link.joint === -2 ? opening / 2 : q[link.joint];
+      if (link.joint >= 0) {
+        const value = link.follows[0] * values[link.joint] + link.follows[1];
         pose = multiply(pose, link.slides ? translation(...link.axis.map(a => a * value)) : rotation(link.axis, value));
       }
       T.push(pose);
     }
     return T;
   }
-
-  tool(poses) { return multiply(poses[this.robot.hand], translation(...this.robot.tool)); }
 }
 
 // ---------------------------------------------------------------- time: grip, move, let go, for every step
-const GRIP = 0.4, SPEED = 0.25, OPEN = 0.02;  // s, m/s, m
-
 class Timeline {
-  constructor(steps) {
-    this.steps = steps;
+  // playback: grip in s, tool_speed in m/s, fingers_open in m
+  constructor(steps, playback) {
+    this.steps = steps; this.playback = playback;
     this.starts = [0];
-    for (const step of steps) this.starts.push(this.starts.at(-1) + 2 * GRIP + step.along.at(-1) / SPEED);
+    for (const step of steps) this.starts.push(this.starts.at(-1) + 2 * playback.grip + step.along.at(-1) / playback.tool_speed);
     this.total = this.starts.at(-1);
   }
 
@@ -79,10 +85,11 @@ class Timeline {
   at(time) {
     let k = 0;
     while (k < this.steps.length - 1 && time >= this.starts[k + 1]) k++;
-    const t = time - this.starts[k], way = this.starts[k + 1] - this.starts[k] - 2 * GRIP;
-    const fraction = Math.min(Math.max((t - GRIP) / way, 0), 1);
-    const extra = t < GRIP ? OPEN * (1 - t / GRIP) : t > GRIP + way ? OPEN * Math.min((t - GRIP - way) / GRIP, 1) : 0;
-    return { step: k, fraction, extra };
+    const { grip, fingers_open } = this.playback;
+    const t = time - this.starts[k], way = this.starts[k + 1] - this.starts[k] - 2 * grip;
+    const fraction = Math.min(Math.max((t - grip) / way, 0), 1);
+    const opened = t < grip ? 1 - t / grip : t > grip + way ? Math.min((t - grip - way) / grip, 1) : 0;
+    return { step: k, fraction, extra: fingers_open * opened };
   }
 
   configuration(k, fraction, n) {

@@ -16,7 +16,7 @@ function readData() {
   if (crc32(text) !== Number(element.dataset.checksum))
     throw new Error("The data in this file are damaged: their checksum does not fit. Ask for the file again.");
   const data = JSON.parse(text);
-  if (data.format !== "takeapart/page" || data.version !== 1) throw new Error("The file holds nothing of a known version.");
+  if (data.format !== "takeapart/page" || data.version !== 2) throw new Error("The file holds nothing of a known version.");
   for (const step of data.steps) {
     step.joints = new Float32Array(bytes(step.joints));
     step.along = new Float32Array(bytes(step.along));
@@ -32,7 +32,7 @@ class Player {
   constructor(data) {
     this.data = data;
     this.arm = new Arm(data.robot);
-    this.timeline = new Timeline(data.steps);
+    this.timeline = new Timeline(data.steps, data.playback);
     this.direction = data.direction;
     this.time = 0; this.playing = false; this.speed = 1; this.picked = null; this.frames = [];
     const canvas = document.getElementById("canvas"), painter = this.painter = new Painter(canvas);
@@ -67,7 +67,7 @@ class Player {
   model(i, place, poses) {  // pose of a part, null where it is hidden
     const k = this.data.steps.findIndex(step => step.part === i), part = this.data.parts[i];
     if (k < 0 || k > place.step) return part.pose;
-    if (k === place.step) return multiply(this.arm.tool(poses), this.data.steps[k].tool);
+    if (k === place.step) return multiply(poses[this.data.robot.hand], this.data.steps[k].held);
     return document.getElementById("laid").checked ? part.laid : null;
   }
 
@@ -188,12 +188,13 @@ class Player {
     note.textContent = data.bounds_note;
     get("totals").replaceChildren(table(rows), note);
     get("time").max = this.timeline.total;
-    get("time").title = get("clock").title = data.playback;
+    get("time").title = get("clock").title = data.playback.note;
     new ResizeObserver(() => this.ticks()).observe(get("line"));
     get("time").addEventListener("input", () => { this.pause(); this.time = +get("time").value; this.draw(); });
     get("play").addEventListener("click", () => this.playing ? this.pause() : this.play());
     get("forward").addEventListener("click", () => this.jump(1));
     get("back").addEventListener("click", () => this.jump(-1));
+    for (const [name, speed] of Object.entries(data.playback.speeds)) get("speed").add(new Option(name, speed, speed === this.speed, speed === this.speed));
     get("speed").addEventListener("change", () => { this.speed = +get("speed").value; });
     for (const id of ["laid", "paths"]) get(id).addEventListener("change", () => this.draw());
     get("direction").value = this.direction;

@@ -1,6 +1,6 @@
 """How long a guide takes: one state of 30 parts, and its share of the time of a guided search.
 
-    OMP_NUM_THREADS=1 python -m takeapart.experiments.guide_speed --guide FILE
+    OMP_NUM_THREADS=1 python benchmarks/guide_speed.py --guide FILE
 
 Without --guide the weights are those that a training would begin with: the time does not depend on their values.
 """

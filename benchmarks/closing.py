@@ -1,4 +1,4 @@
-"""Exact search to the end on the shipped assemblies. ``python -m takeapart.experiments.closing``.
+"""Exact search to the end on the shipped assemblies. ``python benchmarks/closing.py``.
 
 Every assembly starts with an empty library; seconds and queries include the refinement after the first proof.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.experiments.speed import new_problem
+from speed import new_problem
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.robot.loading import load_robot

@@ -1,4 +1,4 @@
-"""Where the time of a removal query goes. ``python -m takeapart.experiments.query_profile``.
+"""Where the time of a removal query goes. ``python benchmarks/query_profile.py``.
 
 The stages are wrapped by timers of processor time; what a stage calls counts for the callee alone.
 """
@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from takeapart.experiments.speed import new_problem, random_edges
+from speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
-from takeapart.removal import goals, paths, planner, reach, situation
+from takeapart.removal import goals, grasps, paths, planner, reach, situation
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.loading import load_robot
 
 # What is timed: where it is looked up, its name there, what to call it.
 STAGES: tuple[tuple[Any, str, str], ...] = (
-    (reach, "grasp_candidates", "grasps of a part"),
+    (grasps, "grasp_candidates", "grasps of a part"),
     (reach, "hand_masks", "hands: what each grasp would hit"),
     (InverseKinematics, "_sampled", "inverse kinematics"),
     (InverseKinematics, "_within_limits", "inverse kinematics, near the limits"),

@@ -1,4 +1,4 @@
-"""Whether sampling the arm's redundancy loses grasps. ``python -m takeapart.experiments.redundancy``.
+"""Whether sampling the arm's redundancy loses grasps. ``python benchmarks/redundancy.py``.
 
 A grasp is lost if none of the sampled inverse kinematics solutions can hold and lift the part clear of what never
 leaves, although another solution can. For grasps without any way, as many more solutions are sought by Newton's method

@@ -1,4 +1,4 @@
-"""How near a first answer of the removal planner is to the best one. ``python -m takeapart.experiments.path_quality``.
+"""How near a first answer of the removal planner is to the best one. ``python benchmarks/path_quality.py``.
 
 The first query of a removal is compared with the shortest of many more, planned again and again with other random
 numbers until the seconds are over, or until it is as short as its candidate bound. Removals are those of random
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from takeapart.experiments.speed import new_problem, random_edges
+from speed import new_problem, random_edges
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.problem import AssemblyProblem

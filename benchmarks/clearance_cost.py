@@ -1,6 +1,6 @@
 """What keeping a clearance costs: greedy plans of some assemblies with several clearances of the workcell.
 
-Command: ``python -m takeapart.experiments.clearance_cost``.
+Command: ``python benchmarks/clearance_cost.py``.
 """
 
 from __future__ import annotations
