@@ -1,6 +1,6 @@
 """The table of docs/robots.md: python benchmarks/robots.py
 
-Arm, joints, bodies, spheres and how far they reach beyond the hulls, processor time of one inverse kinematics query,
+Arm, joints, bodies, spheres and how far they reach beyond the hulls, processor time of one query of inverse kinematics,
 and which pairs of bodies are left out and why.
 """
 

@@ -20,18 +20,11 @@ from synthetic import (
 )
 from takeapart.model.errors import InputError
 from takeapart.removal.result import Blocked, Effort, Removal
-from takeapart.search.baselines import (
-    BeamOptions,
-    OrderOptions,
-    RestartOptions,
-    beam,
-    greedy,
-    random_order,
-    random_restarts,
-)
+from takeapart.search.beam import BeamOptions, beam
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, Progress, SearchResult
 from takeapart.search.session import SECOND_LOOK
+from takeapart.search.simple_orders import OrderOptions, RestartOptions, greedy, random_order, random_restarts
 
 Search = Callable[[SyntheticProblem, Budget, int], SearchResult]
 

@@ -21,7 +21,7 @@ from order_search_cases import (
 from synthetic import InterruptedProblem, SyntheticProblem, exact_guide, problem_with_dead_ends, random_problem
 from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
-from takeapart.search.baselines import BeamOptions, beam
+from takeapart.search.beam import BeamOptions, beam
 from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.orders import smallest_states

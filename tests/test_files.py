@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import resource
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,8 @@ from takeapart.formats.files import (
     save_plan,
     workcell_hash,
 )
+from takeapart.formats.serialization import workcell_hash_by_name
+from takeapart.formats.sources import source_workcell, workcell_of_hash
 from takeapart.model.assembly import Assembly, Connector, Part
 from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.geometry import Box, OrientedBox, pose
@@ -182,6 +185,21 @@ def test_a_file_of_version_1_is_read_and_written_as_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.steps[0].joint_path, make_plan().steps[0].joint_path, atol=6e-10)
     save_plan(loaded.inverted().inverted(), tmp_path / "again.json")
     assert json.loads((tmp_path / "again.json").read_text()) == {**document, "version": 1}
+
+
+def test_a_workcell_has_the_hash_that_files_of_version_1_name() -> None:
+    """Written down when robots were known by their names."""
+    names = {
+        "panda": "f9ee09ff9e72aac0599bed09ddf87ff1391119e1f98ae3634dc4092148fb9317",
+        "panda-tall": "df7bc7ca8a744679ad00f17233538e5a6d8f78ddb691dc7ef3cafb69390117d1",
+    }
+    assert {name: workcell_hash_by_name(load_workcell(name)) for name in names} == names
+    plan = replace(make_plan(), robot="", joints=(), hashes={"assembly": "a" * 64, "workcell": names["panda-tall"]})
+    found = workcell_of_hash("another", names["panda-tall"], [data_path("workcells")], "plan", by_name=True)
+    assert found.name == "panda-tall"
+    assert source_workcell(replace(plan, workcell="panda-tall"), [], "plan").name == "panda-tall"
+    with pytest.raises(InputError):
+        workcell_of_hash("another", names["panda-tall"], [data_path("workcells")], "plan")
 
 
 @pytest.mark.parametrize(

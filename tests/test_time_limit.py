@@ -25,13 +25,14 @@ from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, OutOfTimeError, Removal
-from takeapart.search.baselines import BeamOptions, OrderOptions, beam, greedy, random_order
+from takeapart.search.beam import BeamOptions, beam
 from takeapart.search.best_first import BestFirstOptions, best_first
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.mcts import MctsOptions, mcts
 from takeapart.search.result import Budget, SearchResult
 from takeapart.search.session import Clock
+from takeapart.search.simple_orders import OrderOptions, greedy, random_order
 from takeapart.stability import ConnectorStability
 from verification_scene import scene_workcell
 

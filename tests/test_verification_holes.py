@@ -11,9 +11,10 @@ import pytest
 
 from mutation_table import scene_target
 from plan_mutations import MUTATIONS, with_wrist_turned
+from takeapart.formats.serialization import workcell_hash_by_name
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
-from takeapart.model.plan import Grasp, PlanStep
+from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.verification import Verifier, stand_under_gravity, verify_plan
 from takeapart.verification import physics as physics_of_states
 from takeapart.verification.checks import NOTHING_BELOW, check_schema, unsupported
@@ -147,3 +148,16 @@ def test_a_path_has_two_rows_or_more_of_as_many_numbers_as_the_arm_has_joints() 
     for tool_path in (step.tool_path[:2], step.tool_path[:3, :6]):
         path = replace(step, joint_path=np.zeros((3, 7)), tool_path=tool_path)
         assert [(finding.check, finding.step) for finding in check_schema(path, 4, 7)] == [("schema", 4)]
+
+
+def test_a_plan_of_version_1_names_its_workcell_by_the_robots_name() -> None:
+    by_name = workcell_hash_by_name(scene_workcell())
+    plan = replace(scene_plan(), robot="", joints=(), hashes={**scene_plan().hashes, "workcell": by_name})
+
+    def checks(tried: Plan) -> list[str]:
+        report = verify_plan(tried, scene_assembly(), scene_workcell(), physics=False)
+        return [finding.check for finding in report.findings]
+
+    assert checks(plan) == []
+    assert checks(replace(plan, joints=scene_plan().joints)) == ["hash"]  # later files know the robot's files
+    assert checks(replace(plan, hashes={**plan.hashes, "workcell": "0" * 64})) == ["hash"]

@@ -192,8 +192,8 @@ def _order_finder(workcell: Workcell, robot: RobotModel, seed: int, started: Cal
     from takeapart.problem import AssemblyProblem
     from takeapart.removal.planner import RemovalPlanner
     from takeapart.removal.result import STAGES
-    from takeapart.search.baselines import OrderOptions, random_order
     from takeapart.search.result import Budget
+    from takeapart.search.simple_orders import OrderOptions, random_order
     from takeapart.stability import ConnectorStability
 
     def find(assembly: Assembly) -> tuple[str, ...] | str:

@@ -22,11 +22,13 @@ from takeapart.cli.output import (
     require_output,
 )
 from takeapart.model.errors import InputError
+from takeapart.show.directions import DIRECTIONS
 
 if TYPE_CHECKING:
     from takeapart.pictures.renderer import Image
 
-VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.show.view.DIRECTIONS, without its imports
+
+VIEW = click.Choice(list(DIRECTIONS))
 
 
 @click.command(
@@ -48,7 +50,7 @@ VIEWS = ("corner", "front", "back", "left", "right", "above")  # takeapart.show.
     show_default=True,
     help="Which moment of a step is drawn: 0 at the grasp, 1 at the goal.",
 )
-@click.option("--view", type=click.Choice(VIEWS), default="corner", show_default=True, help="Where the camera stands.")
+@click.option("--view", type=VIEW, default="corner", show_default=True, help="Where the camera stands.")
 @click.option("--robot/--no-robot", default=None, help="Whether the arm is drawn.  [default: with a plan]")
 @click.option("--laid-out", is_flag=True, help="Removed parts lie beside the assembly; otherwise they are hidden.")
 @click.option("--width", type=click.IntRange(64, 4096), help="Pixels.  [default: 1200; sheet 400; animation 640]")

@@ -37,11 +37,17 @@ ABOVE = 8  # folders above a URDF in which its packages are looked for
 
 @dataclass
 class Found:
-    """What the command found, and what it could not know."""
+    """What the command found, and what it could not know.
+
+    Args:
+        named_gripper: name or path of the description that has the gripper, where the URDF has none.
+        described: name or path of the description, where one was given and no URDF.
+    """
 
     arm: ArmDescription | None = None
     gripper: GripperDescription | None = None
     named_gripper: str = ""
+    described: str = ""
     mount: Mount = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     unknown: list[str] | None = None
     remarks: dict[str, str] | None = None
@@ -57,7 +63,7 @@ class Found:
         "takeapart plan product.json --workcell cell.toml --out plan.json",
     ),
 )
-@click.argument("file", type=FILE, required=False)
+@click.argument("file", type=FILE, required=False, metavar="[URDF|NAME|FILE.toml]")
 @click.option("--out", type=FILE, help="The description (.toml); without it nothing is written.")
 @click.option(
     "--gripper", metavar="URDF|NAME|FILE.toml", help="What sits on the flange.  [default: the fingers in FILE, if any]"
@@ -95,7 +101,7 @@ def robot(
     workcell: Path | None,
     as_json: bool,
 ) -> None:
-    """Describe the arm and the gripper in FILE, a URDF or a xacro file; without FILE list what is shipped.
+    """Describe the arm and the gripper in a URDF or a xacro file; without any list what is shipped.
 
     Found from the URDF alone: chain, base, flange, limits, a configuration at rest, whether the library of inverse
     kinematics brings the arm (by comparing forward kinematics), fingers, opening, and where the tool is at every
@@ -107,23 +113,31 @@ def robot(
         return
     if (product is None) != (workcell is None):
         raise click.UsageError("--product and --workcell go together")
-    if workcell is not None and out is None:
+    described = file.suffix not in (".urdf", ".xacro", ".xml")
+    if workcell is not None and out is None and not described:
         raise click.UsageError("--workcell names the description: give --out too")
-    inputs = [file, *([product] if product else [])]
+    if described and out is not None:
+        raise click.UsageError(f"{file} is described already; --out is for a URDF")
+    inputs = [path for path in (file, product) if path is not None]
     for target in (out, workcell):
         if target is not None:
             if target.suffix != ".toml":
                 raise InputError("must end in .toml", shown(target))
             require_output(target, *inputs)
 
-    found = _found(file, gripper, packages, payload, force, friction, base, flange, mount, name)
+    if described:
+        found = _described(str(file), gripper)
+    else:
+        found = _found(file, gripper, packages, payload, force, friction, base, flange, mount, name)
     description = _whole(found)
     model = None
     if description is not None:
         model = _model(description)
     placed = _placed(description, product, workcell)
     if out is not None:
-        _write(found, out, workcell, placed)
+        _write(found, out)
+    if workcell is not None and placed is not None:
+        _write_workcell(found, out, workcell, placed)
     if as_json:
         print_json(_document(found, model, placed))
     else:
@@ -150,6 +164,17 @@ def _list_shipped(as_json: bool) -> None:
 
 
 # ---- finding
+
+
+def _described(named: str, gripper: str | None) -> Found:
+    """What a shipped description or a file says, for a look at it or for a place."""
+    from takeapart.formats.robot_files import AT_FLANGE, load_robot_file
+
+    file = load_robot_file(named)
+    found = Found(file.arm, file.gripper, described=named, mount=file.mount, unknown=[], remarks={})
+    if gripper is not None:
+        found.gripper, found.named_gripper, found.mount = load_robot_file(gripper).gripper, gripper, AT_FLANGE
+    return found
 
 
 def _found(
@@ -339,24 +364,37 @@ def _placed(description: RobotDescription | None, product: Path | None, workcell
 # ---- what is written and printed
 
 
-def _write(found: Found, out: Path, workcell: Path | None, placed: Placed | None) -> None:
+def _write(found: Found, out: Path) -> None:
     import os
 
     from takeapart.formats.documents import write_atomically
     from takeapart.formats.robot_files import ENDING, load_robot_file
-    from takeapart.formats.robot_writing import robot_toml, workcell_toml
+    from takeapart.formats.robot_writing import robot_toml
 
     named = found.named_gripper
     if named.endswith(ENDING):
         named = os.path.relpath(Path(named).resolve(), out.resolve().parent)
     write_atomically(out, robot_toml(found.arm, found.gripper, found.mount, out.parent, found.remarks, named))
     load_robot_file(out.resolve())  # what was written is read again
-    if workcell is not None and placed is not None:
-        relative = os.path.relpath(out.resolve(), workcell.resolve().parent)
-        heading = [
-            f"The arm can take away {placed.removable} of {placed.of} parts alone; {placed.tried} places were tried."
-        ]
-        write_atomically(workcell, workcell_toml(placed.workcell, relative, True, heading))
+
+
+def _write_workcell(found: Found, out: Path | None, workcell: Path, placed: Placed) -> None:
+    import os
+
+    from takeapart.formats.documents import write_atomically
+    from takeapart.formats.robot_files import ENDING
+    from takeapart.formats.robot_writing import workcell_toml
+
+    def near(path: str) -> str:
+        is_file = path.endswith(ENDING)
+        return os.path.relpath(Path(path).resolve(), workcell.resolve().parent) if is_file else path
+
+    named = near(found.described or str(out))
+    gripper = near(found.named_gripper) if found.described else ""
+    heading = [
+        f"The arm can take away {placed.removable} of {placed.of} parts alone; {placed.tried} places were tried."
+    ]
+    write_atomically(workcell, workcell_toml(placed.workcell, named, named.endswith(ENDING), heading, gripper))
 
 
 def _document(found: Found, model: RobotModel | None, placed: Placed | None) -> dict[str, Any]:

@@ -20,9 +20,8 @@ from takeapart.cli.output import (
     require_output,
     seed_option,
 )
+from takeapart.guide.teacher_names import TEACHERS
 from takeapart.model.errors import MissingExtraError
-
-TEACHERS = ("backup", "exact", "dqn")  # takeapart.guide.training.TEACHERS, without its imports
 
 
 @click.command(

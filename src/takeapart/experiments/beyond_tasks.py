@@ -17,7 +17,7 @@ from takeapart.model.assembly import Assembly
 from takeapart.model.errors import UnknownNameError
 from takeapart.planning import PlanningOptions, build_problem, of_candidates
 from takeapart.problem import AssemblyProblem, Guide
-from takeapart.search.baselines import BeamOptions, beam
+from takeapart.search.beam import BeamOptions, beam
 from takeapart.search.registry import SEARCHES, searches_that_take
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
 from takeapart.workcell import Workcell

@@ -27,7 +27,7 @@ from takeapart.planning import versions
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Counts
-from takeapart.search.baselines import BeamOptions, beam
+from takeapart.search.beam import BeamOptions, beam
 from takeapart.search.refinement import RefinementOptions
 from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult

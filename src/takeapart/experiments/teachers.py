@@ -29,9 +29,9 @@ from takeapart.problem import AssemblyProblem, Guide
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.robot.loading import load_robot
 from takeapart.robot.model import RobotModel
-from takeapart.search.baselines import OrderOptions, greedy, random_order
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget
+from takeapart.search.simple_orders import OrderOptions, greedy, random_order
 from takeapart.stability import ConnectorStability
 from takeapart.workcell import Workcell
 

@@ -71,20 +71,26 @@ def robot_toml(
     return "\n".join(lines) + "\n"
 
 
-def workcell_toml(workcell: Workcell, named: str, is_file: bool, heading: Sequence[str] = ()) -> str:
+def workcell_toml(workcell: Workcell, named: str, is_file: bool, heading: Sequence[str] = (), gripper: str = "") -> str:
     """The file of a workcell.
 
     Args:
         named: of the robot: name of a shipped description, or path of a file relative to the workcell's folder.
         is_file: whether it is a path.
         heading: comment at the top, line by line.
+        gripper: another one than the description has, by name or path.
     """
     lines = [f"# {line}" for line in heading]
     lines += ['format = "takeapart/workcell"', "version = 1", f"name = {json.dumps(workcell.name)}"]
     lines += [f"goal = {_value([round(x, 4) for x in workcell.goal.tolist()])}   # m, where every removal ends"]
     lines += [f"lift_height = {workcell.lift_height!r}   # m, every removal starts with this much straight up"]
     lines += [f"clearance = {workcell.clearance!r}   # m, kept between everything that must not touch"]
-    robot = {"description" if is_file else "model": named, "home": [round(x, 6) for x in workcell.home.tolist()]}
+    hand = {"gripper": gripper} if gripper else {}
+    robot = {
+        "description" if is_file else "model": named,
+        **hand,
+        "home": [round(x, 6) for x in workcell.home.tolist()],
+    }
     lines += _table("robot", robot, {})
     lines += _table("robot.base", _pose(workcell.T_world_base), {})
     for obstacle in workcell.environment:

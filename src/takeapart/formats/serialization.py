@@ -35,7 +35,16 @@ def assembly_hash(assembly: Assembly) -> str:
 
 
 def workcell_hash(workcell: Workcell) -> str:
-    """SHA-256 of the workcell's data."""
+    """SHA-256 of the workcell's data, with its robot and the robot's files."""
+    return _workcell_hash(workcell, {"description": _description_document(workcell.description)})
+
+
+def workcell_hash_by_name(workcell: Workcell) -> str:
+    """The hash as plan files of version 1 have it: when robots were known by name, it held the name alone."""
+    return _workcell_hash(workcell, {"model": workcell.description.name})
+
+
+def _workcell_hash(workcell: Workcell, robot: Document) -> str:
     return _hash(
         {
             "version": 1,
@@ -44,7 +53,7 @@ def workcell_hash(workcell: Workcell) -> str:
             "lift_height": _number(workcell.lift_height),
             "clearance": _number(workcell.clearance),
             "robot": {
-                "description": _description_document(workcell.description),
+                **robot,
                 "base": _pose_document(workcell.T_world_base),
                 "home": _numbers(workcell.home),
                 "payload": _number(workcell.payload),

@@ -20,6 +20,7 @@ from takeapart.formats.files import (
     workcell_hash,
 )
 from takeapart.formats.messages import shown
+from takeapart.formats.serialization import workcell_hash_by_name
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
 from takeapart.model.plan import Plan
@@ -112,22 +113,33 @@ def source_workcell(plan: Plan, folders: Sequence[PathLike], where: str) -> Work
     Raises:
         InputError: there is none, nor a shipped one of its name.
     """
-    return workcell_of_hash(plan.workcell, plan.hashes["workcell"], folders, where, _named(plan, "workcell"))
+    named = _named(plan, "workcell")
+    return workcell_of_hash(plan.workcell, plan.hashes["workcell"], folders, where, named, by_name=not plan.joints)
 
 
-def workcell_of_hash(name: str, digest: str, folders: Sequence[PathLike], where: str, named: str = "") -> Workcell:
-    """As `source_workcell`, where there is no plan yet."""
+def workcell_of_hash(
+    name: str, digest: str, folders: Sequence[PathLike], where: str, named: str = "", by_name: bool = False
+) -> Workcell:
+    """As `source_workcell`, where there is no plan yet.
+
+    Args:
+        by_name: whether the hash may be one that holds the robot's name alone, as in plan files of version 1.
+    """
+
+    def fits(workcell: Workcell) -> bool:
+        return workcell_hash(workcell) == digest or (by_name and workcell_hash_by_name(workcell) == digest)
+
     shipped, other = data_path("workcells").glob("*.toml"), ""
     likely = next((file for file in shipped if file.stem == name), None)
     same_name = load_workcell(likely) if likely else None
-    if same_name is not None and workcell_hash(same_name) == digest:
+    if same_name is not None and fits(same_name):
         return same_name
     for file in _neighbours(folders, named, WORKCELL_ENDING):
         try:
             found = load_workcell(file)
         except InputError:
             continue
-        if workcell_hash(found) == digest:
+        if fits(found):
             return found
         if found.name == name and not other:
             other = f"; {shown(file)} holds one of this name that is not the same (has it been changed since?)"

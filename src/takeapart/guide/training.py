@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -24,12 +23,11 @@ from takeapart.guide.dataset import StateTable, state_table
 from takeapart.guide.experience import Experience
 from takeapart.guide.graph import Indices, Numbers
 from takeapart.guide.network import QNetwork
+from takeapart.guide.teacher_names import TEACHERS, TeacherName
 from takeapart.guide.teachers import DoubleQTeacher, IntervalTeacher, Teacher, evaluate, interval_targets
 from takeapart.guide.weights import Weights, load_weights, save_weights
 from takeapart.model.errors import InputError, UnknownNameError
 
-TeacherName = Literal["backup", "exact", "dqn"]
-TEACHERS: tuple[TeacherName, ...] = ("backup", "exact", "dqn")
 SMALLEST_SCALE = 0.01  # m; numbers that do not vary are not blown up
 
 

@@ -30,7 +30,7 @@ class RenderOptions:
 
     Args:
         width, height: pixels.
-        view: name of a view, see `takeapart.show.view.DIRECTIONS`.
+        view: name of a view, see `takeapart.show.directions.DIRECTIONS`.
         robot: whether the arm is drawn.
         path: whether the tool path of the current step is drawn.
         laid_out: whether removed parts lie beside the assembly; otherwise they are hidden.

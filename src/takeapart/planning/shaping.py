@@ -48,8 +48,8 @@ def shaping_sources(also: Sequence[str], package: Path) -> dict[str, ast.Module]
     while waiting:
         name = waiting.pop()
         if name in files and name not in found:
-            found[name] = _without_docstrings(files[name])
-            waiting += _imported(found[name], name, files[name].name == "__init__.py")
+            found[name], imported = _read(files[name], name)
+            waiting += imported
     return found
 
 
@@ -58,20 +58,12 @@ def _module(path: Path, package: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def _without_docstrings(path: Path) -> ast.Module:
+def _read(path: Path, module: str) -> tuple[ast.Module, list[str]]:
+    """A source without its docstrings, and the modules of the package that its imports may mean, with the packages
+    around them."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[0] if node.body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and type(first.value.value) is str:
-                del node.body[0]
-    return tree
-
-
-def _imported(tree: ast.Module, module: str, is_package: bool) -> list[str]:
-    """Modules of the package that a module may mean by its imports, with the packages around them."""
     here = ["takeapart", *module.split(".")]
-    above = here if is_package else here[:-1]
+    above = here if path.name == "__init__.py" else here[:-1]
     names: list[str] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -80,5 +72,9 @@ def _imported(tree: ast.Module, module: str, is_package: bool) -> list[str]:
             kept = above[: len(above) + 1 - node.level] if node.level else []
             start = ".".join([*kept, *([node.module] if node.module else [])])
             names += [start, *(f"{start}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0] if node.body else None
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and type(first.value.value) is str:
+                del node.body[0]
     own = [name.split(".")[1:] for name in names if name.startswith("takeapart.")]
-    return [".".join(parts[:k]) for parts in own for k in range(1, len(parts) + 1)]
+    return tree, [".".join(parts[:k]) for parts in own for k in range(1, len(parts) + 1)]

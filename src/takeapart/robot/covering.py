@@ -23,6 +23,8 @@ BASE_INFLATION, ARM_INFLATION, WRIST_INFLATION, GRIPPER_INFLATION = 0.03, 0.025,
 WRIST_SHARE = 0.25  # of the length of the chain, before the flange: joints there move a wrist
 LARGEST_SHARE = 0.25  # of a body's longest edge: small bodies have closer spheres
 LEAST_INFLATION = 0.004  # m
+MOST_CORNERS = 160  # of a body: every look at its hull goes through all of them
+LEAST_CUT = 1e-4  # m; a hull around a body that stands out no further is close enough
 
 
 def inflations(bodies: Sequence[Body], chain: Chain) -> list[float]:
@@ -72,19 +74,61 @@ def body_corners(body: Body) -> Array:
 
 
 def body_hulls(bodies: Sequence[Body]) -> list[ConvexBody]:
-    """All bodies as convex hulls in the frames of their joints.
+    """All bodies as convex hulls in the frames of their joints, with at most `MOST_CORNERS` corners each.
 
     Raises:
         InputError: a mesh is missing, cannot be read, or is flat.
     """
     return [
         ConvexBody(
-            np.ascontiguousarray(body_corners(body) @ body.T_frame_link[:3, :3].T + body.T_frame_link[:3, 3]),
+            np.ascontiguousarray(_simple(body_corners(body)) @ body.T_frame_link[:3, :3].T + body.T_frame_link[:3, 3]),
             body.frame,
             body.in_line,
         )
         for body in bodies
     ]
+
+
+def _simple(corners: Array) -> Array:
+    """The same corners (V, 3), m, of a convex hull, or those of a hull around it where they are too many; kept in the
+    cache folder.
+    """
+    if len(corners) <= MOST_CORNERS:
+        return corners
+    name = f"simple-1-{MOST_CORNERS}-{hashlib.sha256(np.ascontiguousarray(corners).tobytes()).hexdigest()[:24]}"
+    known = kept(name)
+    if known is None or known.ndim != 2 or known.shape[1] != 3 or len(known) < 4 or not np.isfinite(known).all():
+        known = around_with_fewer_corners(corners, MOST_CORNERS)
+        keep(name, known)
+    return np.asarray(known, dtype=float)
+
+
+def around_with_fewer_corners(corners: Array, most: int) -> Array:
+    """At most so many corners (W, 3), m, whose convex hull contains that of others (V, 3).
+
+    A box around the hull is cut along the planes of the hull's faces, each time where it stands out furthest: whatever
+    is left contains the hull.
+    """
+    from scipy.spatial import ConvexHull, HalfspaceIntersection  # take long to import, and are rarely needed
+
+    planes = np.unique(np.round(ConvexHull(corners).equations, 9), axis=0)  # (F, 4) normals and negative offsets
+    planes[:, 3] = -(corners @ planes[:, :3].T).max(axis=0)
+    sides = np.concatenate([np.eye(3), -np.eye(3)])
+    cuts = np.column_stack([sides, -(corners @ sides.T).max(axis=0)])
+    inside = ConvexHull(corners).points.mean(axis=0)
+    found = _distinct(HalfspaceIntersection(cuts, inside).intersections)
+    while True:
+        beyond = found @ planes[:, :3].T + planes[:, 3]
+        cuts = np.vstack([cuts, planes[int(beyond.max(axis=0).argmax())]])
+        closer = _distinct(HalfspaceIntersection(cuts, inside).intersections)
+        if len(closer) > most or beyond.max() < LEAST_CUT:
+            return found + (found - inside) * 1e-7  # rounding takes nothing out of it
+        found = closer
+
+
+def _distinct(points: Array) -> Array:
+    """Points (N, 3), m, without those that are others but for rounding."""
+    return np.asarray(points[np.unique(np.round(points, 8), axis=0, return_index=True)[1]])
 
 
 @lru_cache(maxsize=256)

@@ -251,8 +251,11 @@ def _bodies_touch(arm: ArmArrays, a: int, b: int, padding: float, work: Workspac
 @compiled_lean
 def _body_meets_group(arm: ArmArrays, held: HeldArrays, b: int, g: int, padding: float, work: Workspace) -> bool:
     place_spheres(arm, work, b)
+    x, y, z, r = work.body[b, 0], work.body[b, 1], work.body[b, 2], arm.body_radius[b] + padding
     for h in range(held.group[g], held.group[g + 1]):
         place_box(held, work, h)
+        if not ball_meets_box(x, y, z, r, work.box_center, work.box_axes, held.half, h):
+            continue
         if _spheres_meet_box(arm, b, work.box_center, work.box_axes, held.half, h, padding, work) and body_meets_box(
             arm, b, work.box_center, work.box_axes, held.half, h, padding, work
         ):

@@ -105,16 +105,10 @@ def continue_best_first(session: Session, options: BestFirstOptions, guide: Guid
     if math.isfinite(session.clock.budget.seconds):
         session.clock.reserve = BOUND_SHARE * session.clock.budget.seconds
     bounds = session.problem.edge_bounds
-    interrupted = False
     with EdgeQueries(session, bounds, options.attempts, options.workers) as edge_queries:
         lazy = LazyEdges(session, bounds, edge_queries, guide, options.second_look)
         search = _BestFirst(Orders(lazy, options.batch), options)
-        try:
-            search.run()
-        except BudgetSpentError:
-            pass
-        except KeyboardInterrupt:
-            interrupted = True
+        interrupted = session.run(search.run)
     search.settle()
     return session.result(interrupted, session.bound if 0 <= session.bound < math.inf else None)
 

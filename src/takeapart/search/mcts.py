@@ -20,7 +20,7 @@ from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.problem import Guide, Problem
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.result import Budget, ProgressListener, SearchResult
-from takeapart.search.session import BudgetSpentError, Session, TransitionObserver
+from takeapart.search.session import Session, TransitionObserver
 
 StateGuide = Callable[[int], Mapping[int, float]]
 """A guide for one state: Q-value of every candidate part, m."""
@@ -273,10 +273,11 @@ def mcts(
     session = Session(problem, budget, listen, observe)
     search = TreeSearch(problem, options, session, rng)
     value = _remembered(guide) if guide is not None else None
-    interrupted, idle = False, 0
     if problem.root == 0:
         session.offer([])
-    try:
+
+    def episodes() -> None:
+        idle = 0
         search.close_if_explored(search.root)
         while not search.root.closed and not session.clock.spent() and idle < options.patience:
             before = (session.clock.queries, session.best[0])
@@ -284,10 +285,8 @@ def mcts(
             session.clock.episodes += 1
             idle = idle + 1 if before == (session.clock.queries, session.best[0]) else 0
             session.report()
-    except BudgetSpentError:
-        pass
-    except KeyboardInterrupt:
-        interrupted = True
+
+    interrupted = session.run(episodes)
     session.statistics |= {"steps": search.steps, "nodes": search.nodes, "explored": float(search.root.closed)}
     session.infeasible = search.root.closed and math.isinf(session.best[0])
     return session.result(interrupted)

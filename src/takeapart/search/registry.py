@@ -86,25 +86,25 @@ def _mcts() -> tuple[Callable[..., SearchResult], Any]:
 
 
 def _beam() -> tuple[Callable[..., SearchResult], Any]:
-    from takeapart.search.baselines import BeamOptions, beam
+    from takeapart.search.beam import BeamOptions, beam
 
     return beam, BeamOptions()
 
 
 def _greedy() -> tuple[Callable[..., SearchResult], Any]:
-    from takeapart.search.baselines import OrderOptions, greedy
+    from takeapart.search.simple_orders import OrderOptions, greedy
 
     return greedy, OrderOptions(monotone=True)
 
 
 def _restarts() -> tuple[Callable[..., SearchResult], Any]:
-    from takeapart.search.baselines import OrderOptions, RestartOptions, random_restarts
+    from takeapart.search.simple_orders import OrderOptions, RestartOptions, random_restarts
 
     return random_restarts, RestartOptions(OrderOptions(monotone=True))
 
 
 def _random() -> tuple[Callable[..., SearchResult], Any]:
-    from takeapart.search.baselines import OrderOptions, random_order
+    from takeapart.search.simple_orders import OrderOptions, random_order
 
     return random_order, OrderOptions(monotone=True)
 

@@ -93,6 +93,16 @@ class Session:
         self.statistics: dict[str, float] = {}
         self.infeasible = False
 
+    def run(self, search: Callable[[], None]) -> bool:
+        """Run a search to its end, the end of its budget, or Ctrl-C; whether it was that."""
+        try:
+            search()
+        except BudgetSpentError:
+            pass
+        except KeyboardInterrupt:
+            return True
+        return False
+
     def ask(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
         """The removal query.
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.model.geometry import Array, OrientedBox, pose_inverse, rotation_from_quaternion
+from takeapart.show.directions import DIRECTIONS
 from takeapart.show.scene import Moment, PlanScene
 
 TURNS = (112, 90, 68)  # degrees from the line from the arm to the assembly; the first if none is better
@@ -52,16 +53,6 @@ class View:
         """A vector (3,), given for who looks from "corner", turned with the camera: where light comes from."""
         half = (math.atan2(-self.direction[1], -self.direction[0]) - math.radians(DIRECTIONS["corner"][0])) / 2
         return np.asarray(rotation_from_quaternion((math.cos(half), 0, 0, math.sin(half))) @ offset)
-
-
-DIRECTIONS = {  # azimuth and elevation of the camera as seen from the target, degrees; front is x = 0
-    "front": (180.0, 12.0),
-    "back": (0.0, 12.0),
-    "left": (90.0, 12.0),
-    "right": (-90.0, 12.0),
-    "above": (-90.0, 89.0),
-    "corner": (-128.0, 24.0),
-}
 
 
 def view_of(

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from takeapart.formats.serialization import assembly_hash, motion_hash, workcell_hash
+from takeapart.formats.serialization import assembly_hash, motion_hash, workcell_hash, workcell_hash_by_name
 from takeapart.model.assembly import Assembly
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.verification.checks import (
@@ -84,6 +84,7 @@ class Verifier:
         self.options = options or VerificationOptions()
         computed = {"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)}
         self.hashes = computed if hashes is None else hashes
+        self._hash_by_name = workcell_hash_by_name(workcell)
         self.replay = Replay(assembly, workcell, self.options)
         self.support = Support(assembly)
         self._steps: dict[bytes, StepResult] = {}
@@ -110,7 +111,11 @@ class Verifier:
         if plan.direction == "assembly":
             plan = plan.inverted()
         names = {"assembly": assembly.name, "workcell": workcell.name}
-        findings = [*check_heading(plan), *check_hashes(plan, self.hashes, names), *check_order(plan, assembly)]
+        findings = [
+            *check_heading(plan),
+            *check_hashes(plan, self._hashes_for(plan), names),
+            *check_order(plan, assembly),
+        ]
         findings += [*check_robot(plan, workcell), *self.replay.check_placement()]
         results: list[StepResult] = []
         state = assembly.root
@@ -156,6 +161,12 @@ class Verifier:
             clearances=tuple(result.clearance for result in results),
             motion=motion_hash(plan),
         )
+
+    def _hashes_for(self, plan: Plan) -> Mapping[str, str]:
+        """The hashes that a plan must have; of a file of version 1 also the workcell's by the name of its robot."""
+        if not plan.joints and "workcell" in self.hashes and plan.hashes.get("workcell") == self._hash_by_name:
+            return {**self.hashes, "workcell": self._hash_by_name}
+        return self.hashes
 
     def stand(self, state: int) -> StandingReport:
         """What happens to a state under gravity."""
