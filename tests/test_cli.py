@@ -118,7 +118,11 @@ def no_workcell(folder: Path) -> None:
         (overlapping_parts, "two-bars.json: parts: parts 'beam' and 'stub' overlap by 4.50 mm"),
         (no_file, "two-bars.json: there is no such file"),
         (another_format, "two-bars.json: format: format 'takeapart/plan'; must be 'takeapart/assembly'"),
-        (unknown_robot, "cell.toml: robot.model: unknown robot 'pandora'; valid: a path that ends in .toml, panda"),
+        (
+            unknown_robot,
+            "cell.toml: robot.model: unknown robot 'pandora'; valid: a path that ends in "
+            ".toml, panda, robotiq-2f-85, ur5e, xarm7",
+        ),
         (bad_goal, "cell.toml: goal[1]: nan; must be a finite number"),
         (no_workcell, "cell.toml: there is no such file"),
     ],

@@ -178,11 +178,16 @@ def test_plan_errors(tmp_path: Path, path: Path_, value: object, message: str) -
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"panda"', '"pandas"', "robot.model: unknown robot 'pandas'; valid: a path that ends in .toml, panda"),
+        (
+            '"panda"',
+            '"pandas"',
+            "robot.model: unknown robot 'pandas'; valid: a path that ends in .toml, panda, robotiq-2f-85, ur5e, xarm7",
+        ),
         (
             '"panda"',
             '"pan' + "[" * 3000 + 'da"',
-            f"robot.model: unknown robot \"'pan{'[' * 14}...{'[' * 16}da'\"; valid: a path that ends in .toml, panda",
+            f"robot.model: unknown robot \"'pan{'[' * 14}...{'[' * 16}da'\"; valid: a path that ends in "
+            ".toml, panda, robotiq-2f-85, ur5e, xarm7",
         ),
         ("[0.0, -0.785398,", "[-0.785398,", "robot.home: must be 7 finite joint angles, rad"),
         ("lift_height = 0.05", "lift_height = nan", "lift_height: nan; must be a finite number"),
