@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 from shown_plans import small_plan, small_scene, small_workcell, write_files
 from small_assemblies import three_bars
 from takeapart.cli.commands import main
+from takeapart.formats.bound_texts import gap
 from takeapart.formats.files import save_assembly, save_plan
 from takeapart.formats.serialization import motion_hash
 from takeapart.model.plan import Plan
@@ -75,6 +77,14 @@ def test_report_of_a_plan_has_its_numbers_and_needs_no_other_file(tmp_path: Path
     assert made.hashes["assembly"] in words and made.hashes["workcell"] in words
     assert 'name="viewport"' in text and "@media print" in text
     assert len(text) < 2_000_000
+
+
+def test_gap_of_a_bound_that_is_met_is_zero_whatever_was_rounded() -> None:
+    lengths = [0.1, 0.1, 0.1, 0.3]
+    total, other = math.fsum(lengths), sum(lengths)
+    assert total < other, "else this shows nothing"
+    assert f"{gap(total, other):.1%}" == "0.0%" and gap(other, total) == 0
+    assert gap(3.0, 2.0) == 0.5 and gap(2.0, 3.0) == pytest.approx(-1 / 3) and gap(2.0, 0.0) is gap(2.0, None) is None
 
 
 def verification_of(plan: Plan, distances: list[float | None], **other: object) -> dict[str, object]:

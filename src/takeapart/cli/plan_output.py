@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from takeapart.cli.output import EXIT_INFEASIBLE, EXIT_INTERRUPTED, metres, note, print_json, print_table
-from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE
+from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE, gap
 
 if TYPE_CHECKING:
     from takeapart.model.plan import Plan
@@ -56,11 +56,6 @@ def hindrance_document(hindrance: Hindrance) -> dict[str, object]:
         "hits": dict(reason.hits),
         "blamed": list(reason.blamed),
     }
-
-
-def gap(length: float, bound: float | None) -> float | None:
-    """(length - bound) / bound; None where there is no bound."""
-    return (length - bound) / bound if bound else None
 
 
 def plan_summary(plan: Plan) -> dict[str, object]:

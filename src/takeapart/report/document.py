@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from takeapart.formats.bound_texts import STATED, explanation
+from takeapart.formats.bound_texts import STATED, explanation, gap
 from takeapart.formats.documents import write_atomically
 from takeapart.formats.messages import shown
 from takeapart.model.errors import InputError, TakeapartError
@@ -171,15 +171,16 @@ def _section(heading: str, content: Markup, note: str = "", kind: str = "wide") 
 
 
 def _cards(plan: Plan, verified: Verified | None) -> Markup:
-    def gap(name: str, bound: float) -> str:
-        return f"{name} {(plan.total_length - bound) / bound:.1%}" if bound else ""
+    def above(name: str, bound: float) -> str:
+        share = gap(plan.total_length, bound)
+        return "" if share is None else f"{name} {share:.1%}"
 
     cards = [
         (f"{plan.total_length:.3f} m", "total gripper path", ""),
-        (f"{plan.straight_line_bound:.3f} m", "straight-line bound", gap("proved gap", plan.straight_line_bound)),
+        (f"{plan.straight_line_bound:.3f} m", "straight-line bound", above("proved gap", plan.straight_line_bound)),
     ]
     if plan.sequence_bound is not None:
-        cards.append((f"{plan.sequence_bound:.3f} m", "sequence bound", gap("sequence gap", plan.sequence_bound)))
+        cards.append((f"{plan.sequence_bound:.3f} m", "sequence bound", above("sequence gap", plan.sequence_bound)))
     known = [value for value in verified.clearances.values() if value is not None] if verified else []
     if known:
         cards.append((f"{1000 * min(known):.2f} mm", "smallest clearance", ""))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from takeapart.formats.bound_texts import gap
 from takeapart.model.plan import Plan
 from takeapart.show.facts import PartFacts
 
@@ -33,12 +34,12 @@ class PlanFigures:
     @property
     def proved_gap(self) -> float | None:
         """Against the straight-line bound, as a share."""
-        return _gap(self.total, self.straight_line_bound)
+        return gap(self.total, self.straight_line_bound)
 
     @property
     def sequence_gap(self) -> float | None:
         """Against the sequence bound, as a share."""
-        return _gap(self.total, self.sequence_bound)
+        return gap(self.total, self.sequence_bound)
 
 
 def plan_figures(plan: Plan, facts: Sequence[PartFacts]) -> PlanFigures:
@@ -58,10 +59,6 @@ def plan_figures(plan: Plan, facts: Sequence[PartFacts]) -> PlanFigures:
         if stated and not abs(stated - found) < LENGTH_ROUNDING
     )
     return PlanFigures(total, bound, plan.sequence_bound, differences)
-
-
-def _gap(length: float, bound: float | None) -> float | None:
-    return (length - bound) / bound if bound else None
 
 
 def lasting_bounds(bounds: Sequence[float]) -> list[float]:
