@@ -82,7 +82,13 @@ class Found:
 @click.option("--flange", metavar="LINK", help="What the gripper is mounted on.  [default: found]")
 @click.option("--mount", metavar='"X Y Z R P Y"', help="Pose of the gripper's base in the flange: m, and rad.")
 @click.option("--name", help="Of the arm.  [default: that of the URDF]")
-@click.option("--product", type=FILE, help="An assembly for which a place of the arm is looked for.")
+@click.option(
+    "--product",
+    "products",
+    type=FILE,
+    multiple=True,
+    help="An assembly for which a place of the arm is looked for; several times for one place for all.",
+)
 @click.option("--workcell", type=FILE, help="The workcell with that place (.toml); goes with --product and --out.")
 @json_option
 def robot(
@@ -97,7 +103,7 @@ def robot(
     flange: str | None,
     mount: str | None,
     name: str | None,
-    product: Path | None,
+    products: tuple[Path, ...],
     workcell: Path | None,
     as_json: bool,
 ) -> None:
@@ -106,19 +112,19 @@ def robot(
     Found from the URDF alone: chain, base, flange, limits, a configuration at rest, whether the library of inverse
     kinematics brings the arm (by comparing forward kinematics), fingers, opening, and where the tool is at every
     opening. What no URDF says, as payload, force and friction, is taken from the options, or stated as not known.
-    With --product and --workcell a place for the arm is looked for from which it can take away the product's parts.
+    With --product and --workcell a place for the arm is looked for from which it takes the product apart.
     """
     if file is None:
         _list_shipped(as_json)
         return
-    if (product is None) != (workcell is None):
+    if bool(products) != (workcell is not None):
         raise click.UsageError("--product and --workcell go together")
     described = file.suffix not in (".urdf", ".xacro", ".xml")
     if workcell is not None and out is None and not described:
         raise click.UsageError("--workcell names the description: give --out too")
     if described and out is not None:
         raise click.UsageError(f"{file} is described already; --out is for a URDF")
-    inputs = [path for path in (file, product) if path is not None]
+    inputs = [file, *products]
     for target in (out, workcell):
         if target is not None:
             if target.suffix != ".toml":
@@ -133,7 +139,7 @@ def robot(
     model = None
     if description is not None:
         model = _model(description)
-    placed = _placed(description, product, workcell)
+    placed = _placed(description, products, workcell)
     if out is not None:
         _write(found, out)
     if workcell is not None and placed is not None:
@@ -347,18 +353,18 @@ def _alone(description: RobotDescription) -> Workcell:
     return Workcell("alone", description, np.eye(4), np.array(description.arm.home), np.array([0.3, 0.0, 0.3]))
 
 
-def _placed(description: RobotDescription | None, product: Path | None, workcell: Path | None) -> Placed | None:
-    if product is None or workcell is None:
+def _placed(description: RobotDescription | None, products: Sequence[Path], workcell: Path | None) -> Placed | None:
+    if workcell is None:
         return None
     from takeapart.formats.files import load_assembly
     from takeapart.planning.placing import placed_for
 
     if description is None:
         raise InputError("a workcell needs an arm with a gripper; name one by --gripper", "--workcell")
-    assembly = load_assembly(product)
+    assemblies = [load_assembly(product) for product in products]
     compile_first(_alone(description))
     with progress_bar(f"placing {description.name}") as update:
-        return placed_for(description, assembly, re.sub(r"[^A-Za-z0-9._-]", "-", workcell.stem)[:64], update)
+        return placed_for(description, assemblies, re.sub(r"[^A-Za-z0-9._-]", "-", workcell.stem)[:64], update)
 
 
 # ---- what is written and printed
@@ -391,9 +397,7 @@ def _write_workcell(found: Found, out: Path | None, workcell: Path, placed: Plac
 
     named = near(found.described or str(out))
     gripper = near(found.named_gripper) if found.described else ""
-    heading = [
-        f"The arm can take away {placed.removable} of {placed.of} parts alone; {placed.tried} places were tried."
-    ]
+    heading = [f"The arm takes away {placed.removable} of {placed.of} parts; {placed.tried} places were tried."]
     write_atomically(workcell, workcell_toml(placed.workcell, named, named.endswith(ENDING), heading, gripper))
 
 
@@ -455,7 +459,7 @@ def _print(found: Found, model: RobotModel | None, placed: Placed | None, out: P
     for line in found.unknown or []:
         note(f"not known: {line}")
     if placed is not None:
-        note(f"placed: {placed.removable} of {placed.of} parts can be taken away alone; {placed.tried} places tried")
+        note(f"placed: {placed.removable} of {placed.of} parts are taken away; {placed.tried} places tried")
     for path in (out, cell):
         if path is not None:
             click.echo(f"written: {shown(path)}")
