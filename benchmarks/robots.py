@@ -6,6 +6,7 @@ and which pairs of bodies are left out and why.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import Counter
 
@@ -47,5 +48,5 @@ def row(name: str) -> str:
 
 
 if __name__ == "__main__":
-    for robot_name in NAMES:
+    for robot_name in sys.argv[1:] or NAMES:
         print(row(robot_name))

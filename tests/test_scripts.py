@@ -21,6 +21,7 @@ BENCHMARKS = ROOT / "benchmarks"
 # Of each script what makes it small, and the document, if any, that it fills in.
 SMALL: dict[str, tuple[str, str]] = {
     "animation": ("--frames 2", "benchmarks.md --document"),
+    "arm_speed": ("--workcells panda ur5e --assemblies 1 --queries 2", ""),
     "clearance_cost": ("--assemblies single/01 --processes 1", "verification.md --document"),
     "closing": ("--count 1", "benchmarks.md --document"),
     "growth": ("--seconds 2 --parts 21 --out {folder}/growth", "benchmarks.md --document"),
@@ -30,6 +31,11 @@ SMALL: dict[str, tuple[str, str]] = {
     "pictures": ("--folder {folder}", ""),
     "query_profile": ("--assemblies single/01 --each 4", "benchmarks.md --document"),
     "redundancy": ("--assemblies 1 --grasps 10 --solutions 20", ""),
+    "robots": ("panda", ""),
+    "shipped_products": (
+        "--workcells ur5e --assemblies single/03 --queries 30 --out {folder}/products",
+        "benchmarks.md --document",
+    ),
     "speed": ("--count 1", "benchmarks.md --write"),
     "teachers": ("{vanilla} --sets single --count 2 --folds 2 --steps 20", "guide.md --document"),
     "time_limit": ("--seconds 0.5 --blocks 4 --sources single/01", "benchmarks.md --document"),

@@ -1,4 +1,4 @@
-"""Removal queries of several arms side by side. ``python -m takeapart.experiments.arm_speed --workcells panda FILE``.
+"""Removal queries of several arms side by side. ``python benchmarks/arm_speed.py --workcells panda ur5e``.
 
 Every arm is asked the same queries on the same assemblies, in turn, with nothing known before: no library, no grasp, no
 lift. Only goal configurations are solved before. Times are processor times of one thread: what else the machine does
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from takeapart.experiments.speed import fresh_assemblies, new_problem, random_edges
+from speed import fresh_assemblies, new_problem, random_edges
 from takeapart.experiments.tables import markdown_table
 from takeapart.formats.files import load_workcell
 from takeapart.model.assembly import Assembly
