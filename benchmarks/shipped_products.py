@@ -132,7 +132,7 @@ def main() -> None:
     ]
     arguments.out.mkdir(parents=True, exist_ok=True)
     workcells = [load_workcell(name) for name in arguments.workcells]
-    outcomes = []
+    outcomes: list[list[Outcome]] = []
     for workcell in workcells:
         outcomes.append([])
         for name in names:
