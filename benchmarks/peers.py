@@ -379,8 +379,7 @@ class Ompl(CalledFromPython):
 
 def robot_urdf() -> Path:
     """Model file of the arm."""
-    description = load_workcell("panda").description
-    return description.path(description.urdf)
+    return load_workcell("panda").description.arm.files.urdf
 
 
 def _link(name: str, parent: str, boxes: Sequence[tuple[Array, Array]]) -> str:

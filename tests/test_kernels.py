@@ -116,8 +116,12 @@ class Oracle:
     def __init__(self, assembly: Assembly, workcell: Workcell) -> None:
         self.scene = MujocoScene(assembly, workcell, SIGHT)
         description = workcell.description
-        self.base = description.base_link
-        self.hand = {"panda_link7", *description.hand_links}  # never moves relative to what it holds
+        self.base = description.arm.base_link
+        self.hand = {
+            "panda_link7",
+            description.gripper.base_link,
+            *description.gripper.finger_links,
+        }  # never moves relative to what it holds
 
     def near(self, q: Array) -> list[tuple[str, str, float]]:
         """Names of the two bodies and their distance, m, negative if they penetrate."""

@@ -302,7 +302,8 @@ def test_hand_masks_equal_fresh_checks_in_random_states(planner: RemovalPlanner)
     """What the hand's mask refuses, every branch refuses; and in each state it refuses by bodies of the hand alone."""
     rng, work = np.random.default_rng(6), planner.robot.workspace(64)
     oracle = MujocoScene(planner.assembly, planner.workcell, 0.05)
-    carried = {"panda_link7", *planner.workcell.description.hand_links}
+    gripper = planner.workcell.description.gripper
+    carried = {"panda_link7", gripper.base_link, *gripper.finger_links}
     parts = members(planner.assembly.root)
     valid = invalid = 0
     for state in random_states(planner.assembly, 500, rng):

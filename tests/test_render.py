@@ -58,7 +58,7 @@ def test_drawn_arm_stands_where_the_planners_arm_stands(robot: RobotModel) -> No
     names = [link.name for link in visual.links]
     for opening in (0.0, 0.03, 0.08):
         T = visual.poses(workcell.home, opening)
-        left, right = (T[names.index(name), :3, 3] for name in workcell.description.finger_links)
+        left, right = (T[names.index(name), :3, 3] for name in workcell.description.gripper.finger_links)
         assert np.linalg.norm(left - right) == pytest.approx(opening)
     assert all(
         sum(len(mesh.faces) for mesh in link.meshes) > 100

@@ -51,8 +51,7 @@ def body_pose(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> Array:
 
 def test_forward_kinematics_agrees_with_mujoco(robot: RobotModel, workcell: Workcell) -> None:
     model, data = mujoco_arm(workcell)
-    T_hand_tool = np.eye(4)
-    T_hand_tool[:3, 3] = workcell.description.T_hand_tool
+    T_hand_tool = workcell.description.gripper.T_base_tool(0.0)
     work = robot.workspace()
     for q in random_configurations(robot, 1000, np.random.default_rng(1)):
         place(model, data, q)
@@ -86,14 +85,14 @@ def test_joint_limits_are_those_of_the_urdf(robot: RobotModel, workcell: Workcel
 
 def link_mesh(workcell: Workcell, link: str) -> trimesh.Trimesh:
     """Collision mesh of a link in the link's frame, read from the URDF."""
-    description = workcell.description
-    urdf = ElementTree.parse(description.path(description.urdf)).getroot()
+    files = workcell.description.arm.files
+    urdf = ElementTree.parse(files.urdf).getroot()
     (element,) = [e for e in urdf.iter("link") if e.get("name") == link]
     (collision,) = element.iter("collision")
     mesh = collision.find("geometry/mesh")
     assert mesh is not None
     assert collision.find("origin") is None, "the test does not place meshes"
-    loaded = trimesh.load_mesh(description.resolve(mesh.get("filename", "")))
+    loaded = trimesh.load_mesh(files.resolve(mesh.get("filename", "")))
     assert isinstance(loaded, trimesh.Trimesh)
     return loaded
 
@@ -232,7 +231,7 @@ def test_palm_hits_a_part_that_is_held_too_deep(robot: RobotModel, workcell: Wor
     bar = Box((0.3, 0.02, 0.02)).boxes()
     assert not palm_hits(robot, np.eye(4), bar)
     deep = np.eye(4)
-    deep[2, 3] = -workcell.description.T_hand_tool[2]  # the bar lies where the hand's own frame is
+    deep[2, 3] = -workcell.description.gripper.T_base_tool(0.0)[2, 3]  # the bar lies where the hand's own frame is
     assert palm_hits(robot, deep, bar)
 
 

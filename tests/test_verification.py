@@ -223,7 +223,7 @@ def test_separate_boxes_within_sight_are_all_seen_at_their_distance() -> None:
         T[:3, :3], T[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
         return OrientedBox(T, model.geom_size[geom].copy())
 
-    fingers = [geom for finger in scene.description.finger_links for geom in scene.geoms(finger)]
+    fingers = [geom for finger in scene.description.gripper.finger_links for geom in scene.geoms(finger)]
     moving = [*fingers, *scene.geoms(scene.held_bodies[number])]
     standing = [
         geom for i, part in enumerate(assembly.parts) if i != number for geom in scene.geoms(f"part/{part.name}")
