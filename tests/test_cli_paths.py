@@ -20,11 +20,17 @@ from takeapart.formats.files import save_assembly, save_plan
 from verification_scene import scene_plan
 
 NOBODY = 65534
-ENDINGS = {"--workcell": ".toml", "--html": ".html", "report --out": ".html", "render --out": ".png"}
+ENDINGS = {
+    "--workcell": ".toml",
+    "--html": ".html",
+    "report --out": ".html",
+    "robot --out": ".toml",
+    "render --out": ".png",
+}
 FOLDERS = {"generate --out", "demo --out", "compare --out", "reproduce paper --out", "reproduce beyond --out"}
 FOLDERS |= {"plan --run", "plan --experience"}
 PATHS = {"--out", "--run", "--experience", "--guide", "--workcell", "--assembly", "--html", "--report", "--document"}
-PATHS |= {"--verification"}
+PATHS |= {"--verification", "--product"}
 COMMANDS = {
     "plan": ["a.json"],
     "show": ["p.json"],
@@ -38,6 +44,7 @@ COMMANDS = {
     "train": ["seen"],
     "generate": [],
     "demo": [],
+    "robot": ["panda", "--product", "a.json", "--workcell", "new.toml"],
     "reproduce paper": ["--quick"],
     "reproduce beyond": ["a.json"],
 }
@@ -109,7 +116,7 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     def work_begins(*_: object, **__: object) -> None:
         raise AssertionError("the work began before the path was looked at")
 
-    for module in ("plan", "inspect", "generate", "compare", "reproduce"):
+    for module in ("plan", "inspect", "generate", "compare", "reproduce", "robot"):
         monkeypatch.setattr(f"takeapart.cli.{module}.compile_first", work_begins)
     yield here
     (here / "closed").chmod(0o700)

@@ -27,6 +27,7 @@ from takeapart.model.errors import InputError
 
 if TYPE_CHECKING:
     from takeapart.formats.robot_files import Mount
+    from takeapart.model.assembly import Assembly
     from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription, RobotFiles
     from takeapart.planning.placing import Placed
     from takeapart.robot.model import RobotModel
@@ -58,8 +59,8 @@ class Found:
     short_help="Describe an arm or a gripper from its URDF; list the shipped ones.",
     epilog=examples(
         "takeapart robot",
-        "takeapart robot ur5e.urdf --gripper robotiq_2f_85.urdf --payload 5 --out ur5e.toml",
-        "takeapart robot ur5e.urdf --gripper robotiq-2f-85 --out ur5e.toml --product product.json --workcell cell.toml",
+        "takeapart robot arm.urdf --gripper hand.urdf --payload 5 --out robot.toml",
+        "takeapart robot xarm7 --product product.json --workcell cell.toml",
         "takeapart plan product.json --workcell cell.toml --out plan.json",
     ),
 )
@@ -120,16 +121,17 @@ def robot(
     if bool(products) != (workcell is not None):
         raise click.UsageError("--product and --workcell go together")
     described = file.suffix not in (".urdf", ".xacro", ".xml")
-    if workcell is not None and out is None and not described:
-        raise click.UsageError("--workcell names the description: give --out too")
-    if described and out is not None:
-        raise click.UsageError(f"{file} is described already; --out is for a URDF")
     inputs = [file, *products]
     for target in (out, workcell):
         if target is not None:
             if target.suffix != ".toml":
                 raise InputError("must end in .toml", shown(target))
             require_output(target, *inputs)
+    if workcell is not None and out is None and not described:
+        raise click.UsageError("--workcell names the description: give --out too")
+    if described and out is not None:
+        raise click.UsageError(f"{shown(file)} is described already; --out is for a URDF")
+    assemblies = _assemblies(products)
 
     if described:
         found = _described(str(file), gripper)
@@ -139,7 +141,7 @@ def robot(
     model = None
     if description is not None:
         model = _model(description)
-    placed = _placed(description, products, workcell)
+    placed = _placed(description, assemblies, workcell)
     if out is not None:
         _write(found, out)
     if workcell is not None and placed is not None:
@@ -353,15 +355,23 @@ def _alone(description: RobotDescription) -> Workcell:
     return Workcell("alone", description, np.eye(4), np.array(description.arm.home), np.array([0.3, 0.0, 0.3]))
 
 
-def _placed(description: RobotDescription | None, products: Sequence[Path], workcell: Path | None) -> Placed | None:
+def _assemblies(products: Sequence[Path]) -> list[Assembly]:
+    if not products:
+        return []
+    from takeapart.formats.files import load_assembly
+
+    return [load_assembly(product) for product in products]
+
+
+def _placed(
+    description: RobotDescription | None, assemblies: Sequence[Assembly], workcell: Path | None
+) -> Placed | None:
     if workcell is None:
         return None
-    from takeapart.formats.files import load_assembly
     from takeapart.planning.placing import placed_for
 
     if description is None:
         raise InputError("a workcell needs an arm with a gripper; name one by --gripper", "--workcell")
-    assemblies = [load_assembly(product) for product in products]
     compile_first(_alone(description))
     with progress_bar(f"placing {description.name}") as update:
         return placed_for(description, assemblies, re.sub(r"[^A-Za-z0-9._-]", "-", workcell.stem)[:64], update)
