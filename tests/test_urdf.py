@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from takeapart.formats.robot_files import load_robot_description
 from takeapart.model.description import ArmDescription, RobotFiles
 from takeapart.model.errors import InputError
 from takeapart.robot.chain import arm_chain
-from takeapart.robot.urdf import Urdf, collisions, read_urdf, visuals
+from takeapart.robot.urdf import Urdf, collisions, read_urdf, reading, visuals
 
 ROBOTS = ["panda", "ur5e", "xarm7"]
 
@@ -277,3 +278,30 @@ def test_xacro_is_expanded(tmp_path: Path) -> None:
     file.write_text('<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><link name="${nothing}"/></robot>')
     with pytest.raises(InputError, match="xacro cannot expand it"):
         read_urdf(RobotFiles(file))
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e", "xarm7"])
+def test_what_is_kept_of_a_file_is_what_was_read(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("takeapart.robot.kept.cache_folder", lambda: tmp_path)
+    description = load_robot_description(name)
+    for files in (description.arm.files, description.gripper.files):
+        reading._read.cache_clear()
+        first = read_urdf(files)
+        reading._read.cache_clear()
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, "yourdfpy", None)  # importing it fails
+            again = read_urdf(files)
+        assert (again.name, list(again.links), list(again.joints)) == (
+            first.name,
+            list(first.links),
+            list(first.joints),
+        )
+        for link, other in zip(first.links.values(), again.links.values(), strict=True):
+            assert repr(link) == repr(other)
+        for joint, twin in zip(first.joints.values(), again.joints.values(), strict=True):
+            assert repr(joint) == repr(twin)
+            np.testing.assert_array_equal(joint.T_parent, twin.T_parent)
+    for file in tmp_path.glob("urdf-*"):
+        file.write_bytes(b"damaged")
+    reading._read.cache_clear()
+    assert list(read_urdf(files).links) == list(first.links)

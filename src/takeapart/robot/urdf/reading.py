@@ -21,6 +21,7 @@ import numpy as np
 from takeapart.model.description import RobotFiles
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array
+from takeapart.robot.urdf.keeping import keep_parsed, kept_parsed
 from takeapart.robot.urdf.tree import Geometry, Joint, Link, Mimic, Urdf
 
 MAXIMUM_BYTES = 32 * 2**20
@@ -47,23 +48,27 @@ def read_urdf(files: RobotFiles) -> Urdf:
     """
     where = str(files.urdf)
     content = _expanded(files.urdf, where) if files.urdf.suffix == ".xacro" else _content(files.urdf, where)
-    return _read(files.urdf, tuple(sorted(files.packages.items())), content, hashlib.sha256(content).digest())
+    return _read(files.urdf, tuple(sorted(files.packages.items())), content, hashlib.sha256(content).hexdigest())
 
 
 @lru_cache(maxsize=16)
-def _read(path: Path, packages: tuple[tuple[str, Path], ...], content: bytes, digest: bytes) -> Urdf:
+def _read(path: Path, packages: tuple[tuple[str, Path], ...], content: bytes, digest: str) -> Urdf:
     where = str(path)
     root = _element_tree(content, where)
     masses = {str(link.get("name")): _mass(link, where) for link in root.findall("link")}
     colors = _colors(root)
     _check(root, where)
-    import yourdfpy  # takes trimesh along, which takes longer to import than a small plan to make
+    known = kept_parsed(digest)
+    if known is None:
+        import yourdfpy  # takes trimesh along
 
-    tree = io.BytesIO(ElementTree.tostring(_cleaned(root)))
-    parsed = yourdfpy.URDF.load(tree, build_scene_graph=False, load_meshes=False).robot
-    links = {link.name: _link(link, masses[link.name], colors) for link in parsed.links}
-    joints = {joint.name: _joint(joint) for joint in parsed.joints}
-    found = Urdf(parsed.name, RobotFiles(path, dict(packages)), links, joints)
+        tree = io.BytesIO(ElementTree.tostring(_cleaned(root)))
+        parsed = yourdfpy.URDF.load(tree, build_scene_graph=False, load_meshes=False).robot
+        links = {link.name: _link(link, masses[link.name], colors) for link in parsed.links}
+        joints = {joint.name: _joint(joint) for joint in parsed.joints}
+        known = parsed.name, links, joints
+        keep_parsed(digest, *known)
+    found = Urdf(known[0], RobotFiles(path, dict(packages)), known[1], known[2])
     _check_tree(found)
     return found
 
