@@ -1,4 +1,4 @@
-"""The pictures of the README: an animation of a plan, and how a search comes to its end.
+"""The pictures of the README: an animation of a plan, how a search comes to its end, and another arm.
 
 python -m takeapart.experiments.pictures --folder docs/pictures
 """
@@ -11,13 +11,14 @@ from pathlib import Path
 
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.model.plan import Plan
-from takeapart.pictures.output import captioned, save_animation
-from takeapart.pictures.renderer import RenderOptions, animation
+from takeapart.pictures.output import captioned, save_animation, save_png
+from takeapart.pictures.renderer import Renderer, RenderOptions, animation, chosen_view
 from takeapart.planning import PlanningOptions, plan
 from takeapart.report.charts import progress
 from takeapart.show.scene import PlanScene
 
 ASSEMBLY, WORKCELL = "single/01.json", "panda"
+OTHER_ASSEMBLY, OTHER_WORKCELL, OTHER_STEP = "single/03.json", "ur5e", 9
 WIDTH, HEIGHT, FRAMES, FRAMES_PER_SECOND = 400, 320, 6, 7.0
 
 
@@ -44,8 +45,15 @@ def draw_search(made: Plan, file: Path) -> None:
     file.write_text(f'{head} font-family="sans-serif" font-size="14">{paper}{content}\n')
 
 
+def draw_step(scene: PlanScene, step: int, file: Path) -> None:
+    """One step of a plan, counted from 1, on the way to the goal."""
+    moment, options = scene.moment(step - 1, 0.4), RenderOptions()
+    with Renderer(scene, options, chosen_view(scene, options, [moment])) as renderer:
+        save_png(renderer.picture(moment), file)
+
+
 def main() -> int:
-    """Plans the shipped assembly and draws both."""
+    """Plans shipped assemblies and draws all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=Path("docs/pictures"))
     folder = parser.parse_args().folder
@@ -57,6 +65,12 @@ def main() -> int:
         return 3
     draw_plan(PlanScene(assembly, workcell, made), folder / "plan.gif")
     draw_search(made, folder / "search.svg")
+    assembly, workcell = load_assembly(data_path(OTHER_ASSEMBLY)), load_workcell(OTHER_WORKCELL)
+    other = plan(assembly, workcell, PlanningOptions())
+    if not isinstance(other, Plan):
+        print(other, file=sys.stderr)
+        return 3
+    draw_step(PlanScene(assembly, workcell, other), OTHER_STEP, folder / "ur5e.png")
     for file in sorted(folder.iterdir()):
         print(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     return 0
