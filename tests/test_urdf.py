@@ -305,3 +305,15 @@ def test_what_is_kept_of_a_file_is_what_was_read(name: str, monkeypatch: pytest.
         file.write_bytes(b"damaged")
     reading._read.cache_clear()
     assert list(read_urdf(files).links) == list(first.links)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [('<unit name="millimeter" meter="0.001"/>', 1e-3), ("", 1.0)])
+def test_the_unit_of_a_collada_mesh_counts(unit: str, factor: float, tmp_path: Path) -> None:
+    written = trimesh.exchange.dae.export_collada(trimesh.creation.box((100.0, 200.0, 300.0))).decode()
+    assert "<unit" not in written and "<up_axis>" in written
+    (tmp_path / "box.dae").write_text(written.replace("<up_axis>", f"{unit}<up_axis>"), encoding="utf-8")
+    mesh = '<geometry><mesh filename="box.dae"/></geometry>'
+    file = tmp_path / "robot.urdf"
+    file.write_text(f'<robot name="r"><link name="a"><collision>{mesh}</collision></link></robot>', encoding="utf-8")
+    (found,) = collisions(read_urdf(RobotFiles(file)), "a")
+    np.testing.assert_allclose(np.ptp(found.vertices, axis=0), factor * np.array([100.0, 200.0, 300.0]))

@@ -173,7 +173,8 @@ def _file_meshes(path: str, digest: str, where: str) -> tuple[TriangleMesh, ...]
         raise InputError(f"mesh {path} has no triangles", where)
     by_color: dict[tuple[float, float, float] | None, list[TriangleMesh]] = {}
     for mesh in pieces:
-        found = TriangleMesh(np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64))
+        vertices = _unit(mesh) * np.asarray(mesh.vertices, dtype=float)
+        found = TriangleMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
         if not np.isfinite(found.vertices).all():
             raise InputError(f"mesh {path} has a vertex that is no finite number", where)
         by_color.setdefault(_color(mesh), []).append(found)
@@ -182,6 +183,13 @@ def _file_meshes(path: str, digest: str, where: str) -> tuple[TriangleMesh, ...]
         for color, meshes in by_color.items()
         for mesh in _together(meshes)
     )
+
+
+def _unit(mesh: Any) -> float:
+    """What a mesh's file says that its unit is, m; Collada says one, the other formats of URDF are in metres."""
+    from trimesh.units import unit_conversion
+
+    return float(unit_conversion(str(mesh.metadata.get("units") or "meters"), "meters"))
 
 
 def _color(mesh: Any) -> tuple[float, float, float] | None:
