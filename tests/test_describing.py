@@ -23,6 +23,7 @@ from takeapart.robot.covering import body_cover, inflations
 from takeapart.robot.describe import find_arm, find_gripper, find_home, prebuilt_solver
 from takeapart.robot.describe.home import least_gap
 from takeapart.robot.gripper import box_links, gripper_boxes
+from takeapart.robot.loading import load_robot
 from takeapart.robot.urdf import collisions, read_urdf
 from takeapart.workcell import Workcell
 
@@ -197,6 +198,12 @@ def test_what_is_written_is_read_again(name: str, tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"
     file.write_text(robot_toml(known.arm, known.gripper, known.flange_gripper, tmp_path), encoding="utf-8")
     assert load_robot_description(file) == known
+
+
+def test_bodies_of_one_name_in_both_files_are_told_apart() -> None:
+    robot = load_robot(load_workcell("ur5e"))
+    assert "base_link_inertia" in robot.bodies and "gripper/base_link_inertia" in robot.bodies
+    assert len(robot.inflation) == len(robot.bodies)
 
 
 def test_arms_and_grippers_combine_freely() -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from takeapart.robot.arrays import ArmArrays
-from takeapart.robot.chain import arm_chain, robot_bodies
+from takeapart.robot.chain import Body, arm_chain, robot_bodies
 from takeapart.robot.covering import body_cover, body_hulls, inflations
 from takeapart.robot.model import RobotModel
 from takeapart.robot.self_collision import body_pairs, turning_joints
@@ -65,6 +67,14 @@ def load_robot(workcell: Workcell) -> RobotModel:
         near_distance=np.concatenate([np.zeros(0, np.uint16), *[table.distances.ravel() for table in tables]]),
         held_bodies=np.array([b for b, body in enumerate(bodies) if body.frame < n], dtype=np.int32),
     )
-    inflation = {body.link: cover.inflation for body, cover in zip(bodies, covers, strict=True)}
-    names = tuple(body.link for body in bodies)
+    names = _names(bodies)
+    inflation = {name: cover.inflation for name, cover in zip(names, covers, strict=True)}
     return RobotModel(description, arm, chain.T_last_flange, inflation, names, pairs, tuple(hulls))
+
+
+def _names(bodies: Sequence[Body]) -> tuple[str, ...]:
+    """Names of the bodies' links; one of the gripper that the arm's file has too says whose it is."""
+    names: list[str] = []
+    for body in bodies:
+        names.append(f"gripper/{body.link}" if body.link in names else body.link)
+    return tuple(names)
