@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,8 +50,8 @@ class Found:
     named_gripper: str = ""
     described: str = ""
     mount: Mount = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    unknown: list[str] | None = None
-    remarks: dict[str, str] | None = None
+    unknown: list[str] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
 
 
 @click.command(
@@ -179,7 +179,7 @@ def _described(named: str, gripper: str | None) -> Found:
     from takeapart.formats.robot_files import AT_FLANGE, load_robot_file
 
     file = load_robot_file(named)
-    found = Found(file.arm, file.gripper, described=named, mount=file.mount, unknown=[], remarks={})
+    found = Found(file.arm, file.gripper, described=named, mount=file.mount)
     if gripper is not None:
         found.gripper, found.named_gripper, found.mount = load_robot_file(gripper).gripper, gripper, AT_FLANGE
     return found
@@ -204,9 +204,7 @@ def _found(
 
     known = _packages(packages)
     urdf = read_urdf(_files(file, known))
-    found = Found(unknown=[], remarks={})
-    assert found.unknown is not None
-    assert found.remarks is not None
+    found = Found()
     if not longest_chain(urdf) and base is None and flange is None and gripper is None:
         hand = find_gripper(urdf, None, name, force, friction)
         found.gripper = hand.gripper
@@ -412,8 +410,6 @@ def _write_workcell(found: Found, out: Path | None, workcell: Path, placed: Plac
 
 
 def _document(found: Found, model: RobotModel | None, placed: Placed | None) -> dict[str, Any]:
-    from dataclasses import asdict
-
     def part(data: Any) -> dict[str, Any] | None:
         if data is None:
             return None
@@ -466,7 +462,7 @@ def _print(found: Found, model: RobotModel | None, placed: Placed | None, out: P
     print_table("", ["", ""], rows)
     if model is not None:
         _print_model(model)
-    for line in found.unknown or []:
+    for line in found.unknown:
         note(f"not known: {line}")
     if placed is not None:
         note(f"placed: {placed.removable} of {placed.of} parts are taken away; {placed.tried} places tried")

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from takeapart.model.assembly import Assembly, Part, members
+from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Box, OrientedBox
 from takeapart.removal.grasps import ungraspable
 from takeapart.removal.lifting import contact_height, lift_distance
@@ -22,6 +22,7 @@ from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Stage
 from takeapart.removal.wording import away, counted, in_all, listed, millimetres
 from takeapart.robot.extent import Extent, arm_extent
+from takeapart.states import members
 from takeapart.workcell import GRAVITY
 
 Cause = Literal["gravity", "lift", "weight", "slip", "width", "hand", "reach", "arm", "path"]
