@@ -22,6 +22,8 @@ caching
 compilation
 states
 model.geometry
+model.covering
+model.meshes
 model.assembly
 model.plan
 model

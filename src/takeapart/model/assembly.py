@@ -7,6 +7,7 @@ fixed parts never leave and stand in no state. `Assembly.root` is the state in w
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -14,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from takeapart.model.errors import InputError, UnknownNameError
-from takeapart.model.geometry import Array, OrientedBox, Shape, box_separation
+from takeapart.model.geometry import Array, Box, OrientedBox, Shape, box_separation
 from takeapart.states import members
 
 SHORTEST_EDGE, LONGEST_EDGE = 1e-4, 100.0  # m, of a box
@@ -23,6 +24,10 @@ MAXIMUM_PARTS = 1000
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 ConnectorKind = Literal["U", "O"]
+JointKind = Literal["clutch", "snap", "screw", "glue"]
+
+CONTACT_GAP = 5e-4  # m; surfaces as close as this count as touching, unless the product says otherwise
+FRICTION = 0.1  # between parts, unless the product says otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +72,33 @@ class Connector:
 
 
 @dataclass(frozen=True, eq=False)
+class Joint:
+    """What fastens two parts to each other: at each of its points it pulls them together, up to a strength.
+
+    Args:
+        kind: "clutch" (studs of bricks), "snap", "screw" or "glue".
+        first, second: names of the parts.
+        points: (K, 3) m, where it acts; world frame, in the finished assembly.
+        axis: (3,) unit vector along which the second part leaves the first; world frame.
+        strength: N at each point: more tension than this, and it comes apart.
+        release: N, in all, to take it apart.
+        pitch: m of travel along the axis in one turn, positive for a right-hand thread; 0 where nothing turns.
+    """
+
+    name: str
+    kind: JointKind
+    first: str
+    second: str
+    points: Array
+    axis: Array
+    strength: float
+    release: float = 0.0
+    pitch: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Assembly:
-    """Parts and connectors; validated on construction.
+    """Parts, connectors and joints; validated on construction.
 
     Args:
         name: used in messages and file names.
@@ -76,10 +106,15 @@ class Assembly:
         connectors: host and guest name existing, different parts.
         witness: names of the removable parts in an order that is known to be feasible, or empty.
         provenance: how the assembly was made (generator options, seed); free of meaning for planning.
+        joints: what fastens parts to each other.
+        friction: coefficient between parts.
+        contact_gap: m; surfaces as close as this count as touching.
+        allowed_overlaps: pairs of names of parts that overlap as drawn, and are meant to.
 
     Raises:
         InputError: duplicate or bad names, non-finite or non-positive numbers, improper rotations, unknown host or
-            guest, bodies that overlap by more than 0.1 mm, a witness that is not an order of the removable parts.
+            guest, boxes of different parts that overlap by more than 0.1 mm, a witness that is not an order of the
+            removable parts. How meshes overlap is not looked at here.
     """
 
     name: str
@@ -87,11 +122,16 @@ class Assembly:
     connectors: tuple[Connector, ...] = ()
     witness: tuple[str, ...] = ()
     provenance: dict[str, object] = field(default_factory=dict)
+    joints: tuple[Joint, ...] = ()
+    friction: float = FRICTION
+    contact_gap: float = CONTACT_GAP
+    allowed_overlaps: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         _check_names(self)
         _check_numbers(self)
         _check_connectors(self)
+        _check_contacts(self)
         _check_witness(self)
         _check_overlap(self)
 
@@ -99,6 +139,11 @@ class Assembly:
     def index(self) -> dict[str, int]:
         """Number of the part of a given name."""
         return {part.name: i for i, part in enumerate(self.parts)}
+
+    @cached_property
+    def has_meshes(self) -> bool:
+        """Whether any part is more than a box."""
+        return any(not isinstance(part.shape, Box) for part in self.parts)
 
     @cached_property
     def root(self) -> int:
@@ -130,9 +175,10 @@ def _check_names(assembly: Assembly) -> None:
         raise InputError("the assembly has no parts; at least one is needed", f"{assembly.name}: parts")
     if len(assembly.parts) > MAXIMUM_PARTS:
         raise InputError(f"{len(assembly.parts)} parts; at most {MAXIMUM_PARTS} are allowed", f"{assembly.name}: parts")
-    groups: list[tuple[str, tuple[Part | Connector, ...]]] = [
+    groups: list[tuple[str, Sequence[Part | Connector | Joint]]] = [
         ("parts", assembly.parts),
         ("connectors", assembly.connectors),
+        ("joints", assembly.joints),
     ]
     for kind, items in groups:
         seen: dict[str, int] = {}
@@ -171,8 +217,8 @@ def _check_numbers(assembly: Assembly) -> None:
         _check_pose(part.T_world_part, f"{where}.pose")
         if not np.isfinite(part.mass) or part.mass <= 0:
             raise InputError(f"mass {part.mass} kg; it must be a positive number", f"{where}.mass")
-        for box in part.shape.boxes():
-            _check_box(box, f"{where}.shape")
+        if isinstance(part.shape, Box):
+            _check_box(part.shape.bounding_box(), f"{where}.shape")
     for i, connector in enumerate(assembly.connectors):
         for k, wall in enumerate(connector.walls):
             _check_box(wall, f"{assembly.name}: connectors[{i}] ({connector.name}).walls[{k}]")
@@ -192,6 +238,34 @@ def _check_connectors(assembly: Assembly) -> None:
             raise InputError("a connector needs at least one wall", f"{where}.walls")
 
 
+def _check_contacts(assembly: Assembly) -> None:
+    if not 0 <= assembly.friction <= 10:
+        raise InputError(f"{assembly.friction}; must be from 0 to 10", f"{assembly.name}: friction")
+    if not 0 <= assembly.contact_gap <= 0.01:
+        raise InputError(f"{assembly.contact_gap} m; must be from 0 to 0.01", f"{assembly.name}: contact_gap")
+    pairs = [(f"allowed_overlaps[{i}]", pair) for i, pair in enumerate(assembly.allowed_overlaps)]
+    pairs += [(f"joints[{i}] ({joint.name})", (joint.first, joint.second)) for i, joint in enumerate(assembly.joints)]
+    for place, pair in pairs:
+        for name in pair:
+            if name not in assembly.index:
+                raise InputError(f"there is no part {name!r}", f"{assembly.name}: {place}")
+        if pair[0] == pair[1]:
+            raise InputError(f"{pair[0]!r} is named twice; two different parts are needed", f"{assembly.name}: {place}")
+    for i, joint in enumerate(assembly.joints):
+        where = f"{assembly.name}: joints[{i}] ({joint.name})"
+        numbers = np.array([joint.strength, joint.release])
+        if joint.points.ndim != 2 or joint.points.shape[1] != 3 or not len(joint.points):
+            raise InputError("needs at least one point, each of three coordinates, m", f"{where}.points")
+        if not np.isfinite(joint.points).all() or np.abs(joint.points).max() > 100:
+            raise InputError("must be finite coordinates within 100 m", f"{where}.points")
+        if joint.axis.shape != (3,) or not abs(np.linalg.norm(joint.axis) - 1) < 1e-6:
+            raise InputError("must be a unit vector", f"{where}.axis")
+        if not np.isfinite(numbers).all() or (numbers < 0).any() or numbers.max() > 1e6:
+            raise InputError("strength and release must be from 0 to 1e6 N", where)
+        if not abs(joint.pitch) <= 1:
+            raise InputError(f"{joint.pitch} m; must be from -1 to 1", f"{where}.pitch")
+
+
 def _check_witness(assembly: Assembly) -> None:
     if not assembly.witness:
         return
@@ -204,9 +278,12 @@ def _check_overlap(assembly: Assembly) -> None:
     owners: list[int] = []
     boxes: list[OrientedBox] = []
     for i, part in enumerate(assembly.parts):
-        for box in assembly.body(i):
-            owners.append(i)
-            boxes.append(box.moved(part.T_world_part))
+        if isinstance(part.shape, Box):
+            for box in assembly.body(i):
+                owners.append(i)
+                boxes.append(box.moved(part.T_world_part))
+    if not boxes:
+        return
     T = np.array([box.T_frame_box for box in boxes])
     half = np.array([box.half_extents for box in boxes])
     owner = np.array(owners)

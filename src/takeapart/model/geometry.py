@@ -8,12 +8,14 @@ box or that it is aligned with an axis: shapes are asked for their cover by orie
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Triangles = NDArray[np.int32]
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> Array:
@@ -83,6 +85,42 @@ class OrientedBox:
         return (signs * self.half_extents) @ self.T_frame_box[:3, :3].T + self.T_frame_box[:3, 3]
 
 
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A surface.
+
+    Args:
+        vertices: (V, 3) m.
+        triangles: (T, 3) numbers of vertices, counter-clockwise as seen from outside.
+    """
+
+    vertices: Array
+    triangles: Triangles
+
+    def moved(self, T_other_frame: Array) -> TriangleMesh:
+        """The same surface expressed in another frame."""
+        return TriangleMesh(self.vertices @ T_other_frame[:3, :3].T + T_other_frame[:3, 3], self.triangles)
+
+    @cached_property
+    def corners(self) -> Array:
+        """(T, 3, 3) m: the three corners of every triangle."""
+        return np.asarray(self.vertices[self.triangles])
+
+    @cached_property
+    def bounds(self) -> Array:
+        """(2, 3) m: least and greatest coordinates."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+
+BOX_TRIANGLES = np.array(  # of the corners of `OrientedBox.corners`
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ],
+    dtype=np.int32,
+)  # fmt: skip
+
+
 @runtime_checkable
 class Shape(Protocol):
     """What the rest of the package may ask of a part's geometry; all answers are in the part's frame."""
@@ -95,8 +133,16 @@ class Shape(Protocol):
         """One oriented box that contains the shape."""
         ...
 
+    def surface(self) -> TriangleMesh:
+        """Its surface, exact."""
+        ...
+
     def volume(self) -> float:
         """Volume, m^3."""
+        ...
+
+    def center_of_mass(self) -> Array:
+        """(3,) m, of a body of even density."""
         ...
 
 
@@ -116,8 +162,14 @@ class Box:
     def bounding_box(self) -> OrientedBox:
         return OrientedBox(np.eye(4), np.array(self.size) / 2)
 
+    def surface(self) -> TriangleMesh:
+        return TriangleMesh(self.bounding_box().corners(), BOX_TRIANGLES)
+
     def volume(self) -> float:
         return float(np.prod(self.size))
+
+    def center_of_mass(self) -> Array:
+        return np.zeros(3)
 
 
 def box_separation(T_a: Array, half_a: Array, T_b: Array, half_b: Array) -> Array:
