@@ -1,7 +1,7 @@
 """Parts of any form: triangle meshes.
 
-A `Mesh` answers what every shape answers. Equal shapes are one object: whoever reads a product shares them by `hash`, so
-that fields, covers and grasps are worked out once for all screws.
+A `Mesh` answers what every shape answers. Equal shapes are one object: whoever reads a product shares them by `hash`,
+so that fields, covers and grasps are worked out once for all screws.
 """
 
 from __future__ import annotations
