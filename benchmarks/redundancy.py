@@ -61,8 +61,9 @@ def main() -> None:
     ways = none = lost = solutions = 0
     for k in range(1, arguments.assemblies + 1):
         planner = RemovalPlanner(load_assembly(data_path(f"single/{k:02d}.json")), workcell, robot=robot)
-        dense = RemovalPlanner(planner.assembly, workcell, robot=robot)
-        dense.reach.replace_inverse_kinematics(MoreSolutions(robot, arguments.solutions, rng))
+        dense = RemovalPlanner(
+            planner.assembly, workcell, robot=robot, ik=MoreSolutions(robot, arguments.solutions, rng)
+        )
         work = robot.workspace()
         pairs = [(p, n) for p in members(planner.assembly.root) for n in range(len(planner.reach.candidates(p)))]
         for index in rng.permutation(len(pairs))[: arguments.grasps]:

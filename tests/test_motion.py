@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from ssik.prebuilt import franka_panda_ik
 
 from conftest import random_box, random_configurations, random_rotation, scene_of, world_around, world_of
@@ -249,13 +250,45 @@ def test_path_blockers_refuse_what_never_leaves(robot: RobotModel) -> None:
 # ---- lifting
 
 
+def upwards(height: float, steps: int) -> Array:
+    motion = np.zeros((steps + 1, 3, 4))
+    motion[:, :3, :3] = np.eye(3)
+    motion[:, 2, 3] = np.linspace(0.0, height, steps + 1)
+    return motion
+
+
+def test_lift_rows_turn_the_tool_about_any_axis_of_the_world(robot: RobotModel) -> None:
+    rng = np.random.default_rng(18)
+    scene = scene_of(robot, robot.held(0.02), world_around(robot, BOXES, rng), 0, BOXES, PADDING)
+    followed = 0
+    for q in random_configurations(robot, 60, rng):
+        start, axis, steps = tool_of(robot, q), rng.normal(size=3), 20
+        axis /= np.linalg.norm(axis)
+        motion = np.zeros((steps + 1, 3, 4))
+        for k in range(
+            steps + 1
+        ):  # a screw about an axis through a point 5 cm off the tool, 1 mm along it in each step
+            R = Rotation.from_rotvec(axis * 0.004 * k).as_matrix()
+            middle = start[:3, 3] + [0.05, 0.0, 0.0]
+            motion[k] = np.column_stack([R, middle - R @ middle + 0.001 * k * axis])
+        rows = np.empty((steps + 1, robot.joints))
+        if not lift_rows(scene, q, motion, rows):
+            continue
+        followed += 1
+        for M, row in zip(motion, rows, strict=True):
+            np.testing.assert_allclose(
+                tool_of(robot, row)[:3], M[:, :3] @ start[:3] + M[:, 3:] * [0, 0, 0, 1], atol=1e-7
+            )
+    assert followed > 20
+
+
 def test_lift_rows_go_straight_up_and_do_not_turn(robot: RobotModel) -> None:
     rng = np.random.default_rng(8)
     scene = scene_of(robot, robot.held(0.02), world_around(robot, BOXES, rng), 0, BOXES, PADDING)
     lifted = 0
     for q in random_configurations(robot, 150, rng):
         rows = np.empty((11, robot.joints))
-        if not lift_rows(scene, q, 0.05, rows):
+        if not lift_rows(scene, q, upwards(0.05, 10), rows):
             continue
         lifted += 1
         np.testing.assert_array_equal(rows[0], q)
@@ -279,7 +312,7 @@ def test_lift_rows_refuse_a_stretched_arm(robot: RobotModel) -> None:
     scene = scene_of(robot, robot.held(0.02), world_around(robot, BOXES, np.random.default_rng(9)), 0, BOXES, PADDING)
     stretched = np.array([0.0, 0.0, 0.0, float(robot.arm.upper[3]), 0.0, 1.9, 0.8])
     assert tool_of(robot, stretched)[2, 3] > robot.T_world_base[2, 3] + 0.9
-    assert not lift_rows(scene, stretched, 0.3, np.empty((61, robot.joints)))
+    assert not lift_rows(scene, stretched, upwards(0.3, 60), np.empty((61, robot.joints)))
 
 
 # ---- trees and shortening

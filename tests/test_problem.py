@@ -49,7 +49,7 @@ def test_candidates_are_what_gravity_and_lifting_let_go(problem: AssemblyProblem
     for state in random_states(assembly, 500, np.random.default_rng(1)):
         expected = []
         for part in members(state):
-            lift = planner.lift_blockers[part]
+            lift = next(iter(planner.freedom(part)), None)
             liftable = lift is not None and not any(state >> other & 1 for other in members(lift))
             carries = [p for p in members(state) if p != part and problem.stability.needs(p) >> part & 1]
             if liftable and not carries:

@@ -392,7 +392,7 @@ def test_masks_with_every_body_numbered_are_those_of_the_planner(planner: Remova
     assert named.assembly.root == root | permanent
     compared = 0
     for part in members(root)[::3]:
-        lift, own_lift = planner.lift_blockers[part], named.lift_blockers[part]
+        lift, own_lift = planner.exits.exits(part)[0].blockers, named.exits.exits(part)[0].blockers
         assert own_lift is not None
         assert lift == (None if own_lift & permanent else own_lift)
         hands = planner.reach.hands(part, planner.workspace())

@@ -402,7 +402,9 @@ def test_removal_masks_equal_fresh_checks_in_random_states(planner: RemovalPlann
         top = int(np.argmax(heights > planner.workcell.lift_height - 1e-6))
         lift, path = removal.joint_path[: top + 1], removal.joint_path[top:]
         touched = rows_touch(lifting, lift, clearance, 0.01) or rows_touch(scene, path, clearance, 0.02)
-        lifted_into = planner.lift_blockers[edge.part] or 0  # tested above: what the part itself meets on its way up
+        lifted_into = (
+            planner.exits.exits(edge.part)[0].blockers or 0
+        )  # tested above: what the part itself meets on its way up
         touched = touched or bool(lifted_into & others)
         by_mask = removal.valid_in(others)
         assert not (by_mask and touched), (edge.part, bin(state))
@@ -713,7 +715,7 @@ def test_trees_grow_larger_where_four_attempts_found_nothing(
         return Blocked(situation.part, "path", situation.others)
 
     monkeypatch.setattr(planner, "_attempt", attempt)
-    part = next(part for part in members(planner.assembly.root) if planner.lift_blockers[part] is not None)
+    part = next(part for part in members(planner.assembly.root) if planner.freedom(part))
     planner.plan(part, 1 << part, rng=np.random.default_rng(0), shorter_than=limit, attempts=6)
     usual = planner.options.tree_iterations
     assert grown == [usual] * 4 + [5 * usual if larger else usual] * 2

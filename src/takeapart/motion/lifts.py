@@ -1,4 +1,4 @@
-"""Lifts: the tool moves straight up and keeps its orientation."""
+"""Lifts: the tool follows a given motion in equal steps, mostly straight up, until the part in the hand is clear."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def solve_symmetric(A: Floats, x: Floats) -> bool:
 
 
 @compiled
-def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> bool:
-    """Rows (L, n) that lift the tool straight up from q_start, orientation kept, in equal steps; False if the arm
-    cannot.
+def lift_rows(scene: Scene, q_start: Floats, motion: Floats, rows: Floats) -> bool:
+    """Rows (L, n) that move the tool from q_start as a motion (L, 3, 4) of the world says, its first pose the identity;
+    False if the arm cannot.
 
     Newton's method on all six coordinates, started at the row before, so all rows are on the branch of the first one.
     """
@@ -59,21 +59,29 @@ def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> boo
     R0, p0 = work.R_tool.copy(), work.p_tool.copy()
     e = np.empty(6)
     A = np.empty((6, 6))
+    R_k = np.empty((3, 3))
     for k in range(1, count + 1):
         q = rows[k]
+        M = motion[k]
+        for i in range(3):
+            for j in range(3):
+                R_k[i, j] = M[i, 0] * R0[0, j] + M[i, 1] * R0[1, j] + M[i, 2] * R0[2, j]
+        x = M[0, 0] * p0[0] + M[0, 1] * p0[1] + M[0, 2] * p0[2] + M[0, 3]
+        y = M[1, 0] * p0[0] + M[1, 1] * p0[1] + M[1, 2] * p0[2] + M[1, 3]
+        z = M[2, 0] * p0[0] + M[2, 1] * p0[1] + M[2, 2] * p0[2] + M[2, 3]
         for j in range(n):  # where the two rows before lead to
             q[j] = rows[k - 1, j] if k == 1 else 2.0 * rows[k - 1, j] - rows[k - 2, j]
         converged = False
         for _ in range(8):
             forward(arm, q, work)
             R, p = work.R_tool, work.p_tool
-            e[0], e[1], e[2] = p0[0] - p[0], p0[1] - p[1], p0[2] + height * k / count - p[2]
+            e[0], e[1], e[2] = x - p[0], y - p[1], z - p[2]
             # Rotation error as half the sum of the cross products of matching axes.
             for i in range(3):
                 u, v = (i + 1) % 3, (i + 2) % 3
                 total = 0.0
                 for c in range(3):
-                    total += R[u, c] * R0[v, c] - R[v, c] * R0[u, c]
+                    total += R[u, c] * R_k[v, c] - R[v, c] * R_k[u, c]
                 e[3 + i] = 0.5 * total
             worst = 0.0
             for i in range(6):
@@ -104,13 +112,13 @@ def lift_rows(scene: Scene, q_start: Floats, height: float, rows: Floats) -> boo
 
 
 @compiled
-def lift_ends(scene: Scene, starts: Floats, height: float, rows: Floats, hits: Flags, good: Flags) -> None:
+def lift_ends(scene: Scene, starts: Floats, motion: Floats, rows: Floats, hits: Flags, good: Flags) -> None:
     """Lifts from every start configuration (S, n): rows (S, L, n), what the ends of each would hit (S, parts + 1), and
     which are possible as far as that tells.
 
     Args:
         scene: its load has flags of its own for what meets the world; they are overwritten.
-        height: m.
+        motion: (L, 3, 4), see `lift_rows`.
     """
     last = hits.shape[1] - 1
     for s in range(len(starts)):
@@ -118,7 +126,7 @@ def lift_ends(scene: Scene, starts: Floats, height: float, rows: Floats, hits: F
         _let_part_meet_world(scene, False)
         mark = hits[s]
         mark[:] = 0
-        if not touches(scene, starts[s], mark) or mark[last] or not lift_rows(scene, starts[s], height, rows[s]):
+        if not touches(scene, starts[s], mark) or mark[last] or not lift_rows(scene, starts[s], motion, rows[s]):
             continue
         _let_part_meet_world(scene, True)
         if touches(scene, rows[s, rows.shape[1] - 1], mark) and not mark[last]:

@@ -110,8 +110,8 @@ class AssemblyProblem:
         movable = members(self.root)
         self.hindered_by = [0] * len(assembly.parts)
         for part in movable:
-            lift = planner.lift_blockers[part] if planner.is_graspable(part) else None
-            self.hindered_by[part] = (self.root if lift is None else lift) | stability.dependents(part, self.root)
+            lift = next(iter(planner.freedom(part)), self.root)
+            self.hindered_by[part] = lift | stability.dependents(part, self.root)
         bounds = [planner.candidate_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
         self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
         self._asked: dict[tuple[int, int], int] = {}
@@ -147,9 +147,9 @@ class AssemblyProblem:
         fallen = self.stability.dependents(part, state)
         if fallen:
             return Blocked(part, "stability", fallen)
-        lift = self.planner.lift_blockers[part]
-        if lift is None or lift & state:
-            return Blocked(part, "lift", (lift or 0) & state)
+        freedom = self.planner.freedom(part)
+        if all(mask & state for mask in freedom):
+            return Blocked(part, "lift", min((mask & state for mask in freedom), key=int.bit_count, default=0))
         return None
 
     def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:

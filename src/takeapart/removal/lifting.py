@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox, box_separation
+from takeapart.removal.exits import Exit
 from takeapart.stability.contact import distance
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
@@ -116,3 +117,32 @@ def lift_blockers(
         permanent = part.fixed or any(k < 0 or assembly.parts[k].fixed for k in hit)
         found.append(None if permanent else sum(1 << k for k in hit))
     return found
+
+
+class Lifts:
+    """The one exit of the paper (Sec. IV-B): straight up, by a given height.
+
+    Args: as of `lift_blockers`.
+    """
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        height: float,
+        clearance: float,
+        obstacles: tuple[OrientedBox, ...],
+        passing: float = -CONTACT_TOLERANCE,
+    ) -> None:
+        masks = lift_blockers(assembly, height, clearance, obstacles, passing)
+        self._exits = [_lift(part.T_world_part, height, mask) for part, mask in zip(assembly.parts, masks, strict=True)]
+
+    def exits(self, part: int) -> tuple[Exit, ...]:
+        """The lift; with or without anything in its way."""
+        return (self._exits[part],)
+
+
+def _lift(T_world_part: Array, height: float, blockers: int | None) -> Exit:
+    up = np.array([0.0, 0.0, 1.0])
+    poses = np.repeat(T_world_part[None], 2, axis=0)
+    poses[1, 2, 3] += height
+    return Exit("straight", poses, blockers, up)

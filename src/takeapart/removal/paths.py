@@ -1,4 +1,4 @@
-"""Paths from the lifted part to the goal, over all grasps: straight legs first, then trees, then shortening.
+"""Paths from where the part is clear to the goal, over all grasps: straight legs first, then trees, then shortening.
 
 One `PathSearch` is one attempt of a removal query. Grasps are visited in the order of what they could gain, and left as
 soon as they cannot beat the best path found. Once the time is over, it ends with OutOfTimeError before its next step.
@@ -78,7 +78,7 @@ class Path:
 
     Args:
         number: of the grasp, in the order of `Reach.hands`.
-        rows: (M, n), rad, after the lift.
+        rows: (M, n), rad, after the exit.
         length: of their tool path, m.
         polished: whether it was shortened with all moves, or is straight anyway.
     """
@@ -108,7 +108,6 @@ class PathSearch:
     """The paths of one part in one state, planned once.
 
     Args:
-        lift: height, m.
         goal: (3,) m.
         shorter_than: length of the removal known from before, m; infinite if there is none.
     """
@@ -117,12 +116,11 @@ class PathSearch:
         self,
         situation: Situation,
         options: RemovalOptions,
-        lift: float,
         goal: Array,
         shorter_than: float,
         rng: np.random.Generator,
     ) -> None:
-        self.situation, self.options, self.lift, self.goal, self.rng = situation, options, lift, goal, rng
+        self.situation, self.options, self.goal, self.rng = situation, options, goal, rng
         self.hands, self.others = situation.hands, situation.others
         self._tolerance = options.first_tolerance if math.isinf(shorter_than) else options.tolerance
 
@@ -132,22 +130,26 @@ class PathSearch:
         return [
             number
             for number, hand in enumerate(self.hands)
-            if hand.bound < most and hand.blockers is not None and not hand.blockers & self.others
+            if hand.bound < most and hand.way is not None and not hand.way & self.others
         ]
 
     def search(self, open_: list[int], limit: float) -> list[Path]:
         """Paths with these grasps, the shortest first; each found is shorter than what was known before it.
 
         Args:
-            limit: only removals shorter than this are of interest, m, lift included.
+            limit: only removals shorter than this are of interest, m, exit included.
         """
         paths: list[Path] = []
         for path in self._legs(open_, limit):
             paths.append(path)
-            limit = min(limit, path.length + self.lift)
+            limit = min(limit, self.total(path))
         for path in self._trees(open_, limit):
             paths.append(path)
-        return sorted(paths, key=lambda path: path.length)
+        return sorted(paths, key=lambda path: (self.total(path), path.length))
+
+    def total(self, path: Path) -> float:
+        """Length of a removal with a path, m: the exit before it included."""
+        return path.length + self.hands[path.number].lead
 
     def polished(self, path: Path) -> Path:
         """The path after all moves of the shortening."""
@@ -156,7 +158,7 @@ class PathSearch:
         return self._shortened(path, self.options.shortening_moves, math.inf)
 
     def _legs(self, open_: list[int], limit: float) -> Iterator[Path]:
-        """Paths of one or two straight legs, each shorter than the one before; limits in m, lift included."""
+        """Paths of one or two straight legs, each shorter than the one before; limits in m, exit included."""
         options, tried = self.options, 0
         for estimate, number, via in self._estimates(open_, limit):
             if estimate >= limit - self._tolerance or tried >= options.leg_grasps:
@@ -164,15 +166,14 @@ class PathSearch:
             if not self.situation.branches(number):
                 continue
             tried += 1
-            path = self._leg(number, via, limit - self.lift)
-            if path is not None and path.length + self.lift < limit:
+            path = self._leg(number, via, limit - self.hands[number].lead)
+            if path is not None and self.total(path) < limit:
                 yield path
-                limit = path.length + self.lift
+                limit = self.total(path)
 
     def _estimates(self, open_: list[int], limit: float) -> Iterator[tuple[float, int, Bends]]:
         """Grasps with the least length, m, of a path with at most one bend that a ball could follow, shortest first."""
         known: dict[int, Bends] = {}
-        longest = limit - self.lift
         # An entry is a grasp's bound first; when it comes to the front its estimate is made, and it is put back.
         queue = [(self.hands[n].bound, self.hands[n].steepness, n, False) for n in open_]
         heapq.heapify(queue)
@@ -184,12 +185,12 @@ class PathSearch:
                 continue
             if hand.place not in known:
                 self.situation.look_at_clock()
-                samples = self.options.bend_samples
+                samples, longest = self.options.bend_samples, limit - hand.lead
                 known[hand.place] = Bends(self.situation, hand, self.goal, samples, longest, self._seed())
             if self.situation.is_line_open(number):
                 heapq.heappush(queue, (estimate, steepness, number, True))
             elif len(points := known[hand.place].points):
-                heapq.heappush(queue, (max(estimate, float(points[0, 3]) + self.lift), steepness, number, True))
+                heapq.heappush(queue, (max(estimate, float(points[0, 3]) + hand.lead), steepness, number, True))
 
     def _leg(self, number: int, via: Bends, longest: float) -> Path | None:
         """A path that is straight for the tool, or else one of two straight legs, shortened a little."""
@@ -230,13 +231,13 @@ class PathSearch:
                 usable.remove(number)
                 continue
             turn += 1
-            path = self._tree(number, limit - self.lift)
+            path = self._tree(number, limit - self.hands[number].lead)
             if path is None:
                 failures += 1
                 continue
             successes += 1
             yield path
-            limit = min(limit, path.length + self.lift)
+            limit = min(limit, self.total(path))
 
     def _spread(self, open_: list[int]) -> list[int]:
         """Grasps from above first, and those with another position or approach than all before them."""

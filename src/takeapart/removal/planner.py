@@ -1,4 +1,4 @@
-"""The removal planner (Sec. IV-B): lift, grasp, inverse kinematics, path; everything found goes to the removal
+"""The removal planner (Sec. IV-B): exit, grasp, inverse kinematics, path; everything found goes to the removal
 library.
 """
 
@@ -17,9 +17,10 @@ from takeapart.model.plan import Grasp
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
 from takeapart.motion.scene import Scene
+from takeapart.removal.exits import ExitRule
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.grasps import volume_bound
-from takeapart.removal.lifting import lift_blockers
+from takeapart.removal.lifting import Lifts
 from takeapart.removal.margins import padding, passing
 from takeapart.removal.paths import Path, PathSearch, RemovalOptions
 from takeapart.removal.placement import require_placement, require_reached_goal
@@ -27,7 +28,7 @@ from takeapart.removal.reach import Reach
 from takeapart.removal.result import Blocked, Counts, Removal, never
 from takeapart.removal.situation import Situation
 from takeapart.robot.arrays import Workspace, WorldArrays
-from takeapart.robot.ik import InverseKinematics
+from takeapart.robot.ik import InverseKinematics, Solver
 from takeapart.robot.kernels import LARGEST_MARGIN
 from takeapart.robot.kinematics import tool_poses
 from takeapart.robot.loading import load_robot
@@ -59,6 +60,8 @@ class RemovalPlanner:
         workcell: everything around it.
         options: see `RemovalOptions`.
         robot: the arm, if it is loaded already.
+        exits: how parts get clear without the arm; by default as the product wants it.
+        ik: inverse kinematics for the grasps, by default those of the robot.
         is_placed: whether it is known that home, goal and obstacles stand where something can be planned.
 
     Raises:
@@ -72,6 +75,8 @@ class RemovalPlanner:
         options: RemovalOptions = DEFAULTS,
         robot: RobotModel | None = None,
         is_placed: bool = False,
+        exits: ExitRule | None = None,
+        ik: Solver | None = None,
     ) -> None:
         self.assembly, self.workcell, self.options = assembly, workcell, options
         self._patient = replace(options, tree_iterations=LARGER_TREES * options.tree_iterations)
@@ -83,7 +88,7 @@ class RemovalPlanner:
         self._padding = padding(workcell.clearance, options.check_step)
         obstacles = tuple(obstacle.box for obstacle in workcell.environment)
         kept = passing(workcell.clearance)
-        self.lift_blockers = lift_blockers(assembly, workcell.lift_height, self._padding, obstacles, kept)
+        self.exits = exits or Lifts(assembly, workcell.lift_height, self._padding, obstacles, kept)
         boxes: list[tuple[OrientedBox, int]] = []
         for i, part in enumerate(assembly.parts):
             owner = self._parts if part.fixed else i
@@ -93,9 +98,10 @@ class RemovalPlanner:
         self._fields = owner_fields(self.world, self._parts + 1)
         self._worlds: dict[int, WorldArrays] = {}
         self.world = self._world_of(assembly.root)
-        self._ik = ik = InverseKinematics(self.robot)
-        self.reach = Reach(assembly, workcell, self.robot, ik, self.world, self._padding, options.lift_check_step)
-        self.goals = GoalConfigurations(workcell, self.robot, ik, self.world, self._padding, self._parts)
+        self._ik = solved = InverseKinematics(self.robot)
+        step = options.lift_check_step
+        self.reach = Reach(assembly, workcell, self.robot, ik or solved, self.world, self.exits, self._padding, step)
+        self.goals = GoalConfigurations(workcell, self.robot, solved, self.world, self._padding, self._parts)
         self._largest_load = max(len(assembly.body(i)) for i in range(self._parts))
         self._lock = threading.Lock()
         self._local = threading.local()
@@ -116,6 +122,14 @@ class RemovalPlanner:
     def is_graspable(self, part: int) -> bool:
         """Whether the gripper can hold the part, whatever stands around it: it is neither too heavy nor too wide."""
         return bool(self.reach.candidates(part))
+
+    def freedom(self, part: int) -> tuple[int, ...]:
+        """States of the parts that the exits of a part would hit: it may leave where any of them is gone; empty where no
+        exit passes what never leaves, or no gripper of this cell holds the part."""
+        if not self.is_graspable(part):
+            return ()
+        masks = (way.blockers for way in self.exits.exits(part))
+        return tuple(dict.fromkeys(mask for mask in masks if mask is not None))
 
     def straight_line_total(self, removals: Sequence[Removal]) -> float:
         """The straight-line bound, m: no plan that removes these parts, each gripped somewhere in its volume, is
@@ -155,9 +169,9 @@ class RemovalPlanner:
         others = state & ~(1 << part)
         if not self.is_graspable(part):
             return Blocked(part, "grasp", 0)
-        lift = self.lift_blockers[part]
-        if lift is None or lift & others:
-            return Blocked(part, "lift", (lift or 0) & others)
+        freedom = self.freedom(part)
+        if all(mask & others for mask in freedom):
+            return Blocked(part, "lift", _fewest([mask & others for mask in freedom]))
         situation = Situation(
             self.robot,
             self.reach,
@@ -192,7 +206,7 @@ class RemovalPlanner:
     def _attempt(
         self, situation: Situation, rng: np.random.Generator, limit: float, options: RemovalOptions
     ) -> Removal | Blocked:
-        search = PathSearch(situation, options, self.workcell.lift_height, self.workcell.goal, limit, rng)
+        search = PathSearch(situation, options, self.workcell.goal, limit, rng)
         open_ = search.open_grasps(limit)
         best: Removal | None = None
         for place, path in enumerate(search.search(open_, limit)):
@@ -212,7 +226,7 @@ class RemovalPlanner:
         """
         part, others = situation.part, situation.others
         if not open_:
-            known = [hand.blockers & others for hand in situation.hands if hand.blockers is not None]
+            known = [hand.way & others for hand in situation.hands if hand.way is not None]
             return Blocked(part, "grasp", _fewest(known))
         if any(situation.branches(number) for number in open_):
             return Blocked(part, "path", self._blame_path(situation))
@@ -220,7 +234,7 @@ class RemovalPlanner:
         return Blocked(part, "ik", _fewest(known))
 
     def _finish(self, situation: Situation, path: Path) -> Removal | None:
-        """Joins lift and path, and finds the blockers of the whole motion; None if the motion does not hold."""
+        """Joins exit and path, and finds the blockers of the whole motion; None if the motion does not hold."""
         situation.look_at_clock()
         part, others = situation.part, situation.others
         place = int((situation.lifted(path.number) == path.rows[0]).all(axis=1).argmax())
@@ -231,7 +245,7 @@ class RemovalPlanner:
             present=everything,
             padding=self.workcell.clearance,  # the check adds what moves between its samples
         )
-        lift_hits = flags_of(branch.blockers | (self.lift_blockers[part] or 0), self._parts)
+        lift_hits = flags_of(branch.blockers | (situation.hands[path.number].exit.blockers or 0), self._parts)
         lift_hits[-1] = 0
         for straighten in (True, False):  # as it was planned, if the straighter one hits something
             rows = self._close_rows(situation, scene, path.number, path.rows, straighten)

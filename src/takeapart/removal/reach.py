@@ -13,11 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array
+from takeapart.model.assembly import Assembly, Part
+from takeapart.model.geometry import Array, Box
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
-from takeapart.removal.grasps import GraspCandidate, shortest_first, straight_line_bounds, tied
+from takeapart.removal.exits import Exit, ExitRule
+from takeapart.removal.following import end_of, lead_lengths, motion_of
+from takeapart.removal.grasps import GraspCandidate, shortest_first, tied
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.hand import hand_masks
 from takeapart.robot.ik import Solver
@@ -27,6 +29,7 @@ from takeapart.workcell import Workcell
 
 TIED = 9  # decimals of a direction; noise of a part's frame is no steeper approach
 SAME_PLACE = 1e-6  # m
+THINNEST = 1e-3  # m, radius of a ball that stands for the part where its form is not known
 LIFT_SPACINGS = (0.005, 0.00125)  # m, between the rows of a lift; the second where the first leaves no branch
 
 
@@ -35,20 +38,27 @@ class Hand:
     """A grasp as far as the hand alone decides it.
 
     Args:
-        bound: straight up and straight to the goal, m; no removal with this grasp is shorter.
-        lifted: (3,) m, the tool's position after the lift.
-        place: the number of that position: grasps of one part that lift the tool to the same place have the same.
+        grasp: its number in the order of `Reach.candidates`.
+        exit: how the part gets clear, before it goes to the goal.
+        lead: length of the tool path on the exit, m.
+        bound: along the exit and straight to the goal, m; no removal with this grasp and this exit is shorter.
+        lifted: (3,) m, the tool's position at the end of the exit.
+        place: the number of that position: grasps of one part that take the tool to the same place have the same.
         radius: of a ball around the tool that is always inside the held part, m.
         load: fingers, and the part with its own frame for the tool's.
         T_tool_part: (4, 4).
         steepness: vertical part of the approach direction, -1 from above: those grasps are the likeliest to be reached.
-        kind: grasps of one kind have the same approach direction and stand within 6 cm.
+        kind: grasps of one kind have the same exit and approach direction and stand within 6 cm.
         partner: number of the grasp at the same place with the fingers exchanged.
-        blockers: parts that hand or lifted part would hit; None if it would hit the part itself or what never leaves.
+        blockers: parts that the hand would hit at the start, or hand and part at the end of the exit; None if it would
+            hit the part itself or what never leaves.
         line: parts that the ball would hit on the straight line to the goal; None for what never leaves.
     """
 
     candidate: GraspCandidate
+    grasp: int
+    exit: Exit
+    lead: float
     bound: float
     lifted: Array
     place: int
@@ -62,6 +72,13 @@ class Hand:
     line: int | None
 
     @cached_property
+    def way(self) -> int | None:
+        """Parts that hand or part would hit, those on the exit among them; None for what never leaves, or itself."""
+        if self.blockers is None or self.exit.blockers is None:
+            return None
+        return self.blockers | self.exit.blockers
+
+    @cached_property
     def held(self) -> HeldArrays:
         """What the gripper carries."""
         return moved_load(self.load, self.T_tool_part)
@@ -69,10 +86,10 @@ class Hand:
 
 @dataclass(frozen=True, eq=False)
 class LiftBranch:
-    """One way to hold a part and lift it.
+    """One way to hold a part and to follow its exit.
 
     Args:
-        rows: (L, n) rad, from the grasp straight up to the lift height.
+        rows: (L, n) rad, from the grasp to the end of the exit.
         blockers: parts that arm and hand would hit on the way, or with the lifted part at its end.
     """
 
@@ -101,6 +118,7 @@ class Reach:
     """Grasps and lifts of the parts of one assembly, computed when first asked for.
 
     Args:
+        exits: of the parts, without the arm.
         padding: distance kept, m.
         step: see `path_blockers`, m.
     """
@@ -112,11 +130,13 @@ class Reach:
         robot: RobotModel,
         ik: Solver,
         world: WorldArrays,
+        exits: ExitRule,
         padding: float,
         step: float,
     ) -> None:
+        self._exits = exits
         self._assembly, self._workcell, self._robot, self._ik, self._world = assembly, workcell, robot, ik, world
-        self._padding, self._step, self._lift = padding, step, workcell.lift_height
+        self._padding, self._step = padding, step
         self._loads: dict[tuple[int, float], HeldArrays] = {}
         self._candidates: dict[int, tuple[GraspCandidate, ...]] = {}
         self._bounds: dict[int, float] = {}  # m
@@ -125,10 +145,6 @@ class Reach:
         self._solutions: dict[tuple[int, int], Array] = {}  # (S, n) rad
         self._lifts: dict[tuple[int, int], _Lifts] = {}
 
-    def replace_inverse_kinematics(self, ik: Solver) -> None:
-        """Solves all further grasps with other inverse kinematics, for experiments."""
-        self._ik = ik
-
     def candidates(self, part: int) -> tuple[GraspCandidate, ...]:
         """Grasps of a part, those with the shortest straight line first."""
         if part not in self._candidates:
@@ -136,15 +152,16 @@ class Reach:
         return self._candidates[part]
 
     def bound(self, part: int) -> float:
-        """The shortest straight line of any grasp candidate, m; infinite if the part cannot be gripped."""
+        """The shortest exit and straight line of any grasp candidate, m; infinite if the part cannot be gripped."""
         if part not in self._bounds:
-            grasps = self.candidates(part)
-            bounds = straight_line_bounds(self._assembly.parts[part], grasps, self._lift, self._workcell.goal)
-            self._bounds[part] = float(bounds.min(initial=math.inf))
+            lengths = [self._lengths(part, way) for way in self._exits.exits(part)]
+            self._bounds[part] = min(
+                (float(leads_on.min(initial=math.inf)) for _, _, leads_on in lengths), default=math.inf
+            )
         return self._bounds[part]
 
     def hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
-        """All grasps in the order of `candidates`, as far as the hand decides them."""
+        """All grasps in the order of `candidates`, once for every exit, as far as the hand decides them."""
         if part not in self._hands:
             self._hands[part] = self._solve_hands(part, work)
         return self._hands[part]
@@ -185,20 +202,32 @@ class Reach:
         return masks
 
     def _solutions_of(self, part: int, number: int, work: Workspace) -> Array:
-        key = (part, number)
+        hands = self.hands(part, work)
+        grasp, partner, candidate = hands[number].grasp, hands[number].partner, hands[number].candidate
+        key = (part, grasp)
         if key not in self._solutions:
-            hands = self.hands(part, work)
-            T = self._assembly.parts[part].T_world_part @ hands[number].candidate.T_part_tool
-            partner = hands[number].partner
-            if partner is None or hands[partner].blockers is None:
-                self._solutions[key] = self._ik.solve(T, hands[number].candidate.width)
+            T = self._assembly.parts[part].T_world_part @ candidate.T_part_tool
+            exchanged = hands[partner].grasp if partner is not None else None
+            if exchanged is None or all(hand.blockers is None for hand in hands if hand.grasp == exchanged):
+                self._solutions[key] = self._ik.solve(T, candidate.width)
             else:  # the other finger order costs no inverse kinematics of its own
-                if partner < number:  # always from the first of the two, whichever is asked for first
+                if exchanged < grasp:  # always from the first of the two, whichever is asked for first
                     T[:3, :2] *= -1
-                both = self._ik.solve_both(T, hands[number].candidate.width)
-                for k, found in zip(sorted((number, partner)), both, strict=True):
+                both = self._ik.solve_both(T, candidate.width)
+                for k, found in zip(sorted((grasp, exchanged)), both, strict=True):
                     self._solutions[part, k] = found
         return self._solutions[key]
+
+    def _lengths(self, part: int, way: Exit) -> tuple[Array, Array, Array]:
+        """With an exit, for each grasp candidate: where it takes the tool (K, 3), m; the length (K,), m, of the tool path
+        on it; and with the straight line from there to the goal, m (Eq. 1)."""
+        body = self._assembly.parts[part]
+        poses = np.array([grasp.T_part_tool for grasp in self.candidates(part)]).reshape(-1, 4, 4)
+        starts = poses[:, :, 3] @ body.T_world_part[:3].T
+        end = end_of(way)
+        lifted = starts @ end[:, :3].T + end[:, 3]
+        leads = lead_lengths(way, starts)
+        return lifted, leads, leads + np.linalg.norm(lifted - self._workcell.goal, axis=1)
 
     def _load(self, part: int, width: float) -> HeldArrays:
         """Fingers at an opening, and the part with its own frame for the tool's."""
@@ -214,22 +243,79 @@ class Reach:
             known.clear()
 
     def _solve_hands(self, part: int, work: Workspace) -> tuple[Hand, ...]:
-        body, parts = self._assembly.parts[part], len(self._assembly.parts)
-        candidates = self.candidates(part)
-        if not candidates:
+        if not self.candidates(part):
             return ()
+        ways = self._exits.exits(part)
+        lengths = [self._lengths(part, way) for way in ways]
+        lifted = np.concatenate([each[0] for each in lengths]) if lengths else np.empty((0, 3))
+        places: list[int] = np.unique(np.round(lifted, 6), axis=0, return_inverse=True)[1].ravel().tolist()
+        found: list[Hand] = []
+        for number, (way, measures) in enumerate(zip(ways, lengths, strict=True)):
+            found += self._hands_of_exit(part, number, way, measures, places, len(found), work)
+        return tuple(found)
+
+    def _hands_of_exit(
+        self,
+        part: int,
+        number: int,
+        way: Exit,
+        measures: tuple[Array, Array, Array],
+        places: list[int],
+        first: int,
+        work: Workspace,
+    ) -> list[Hand]:
+        """The grasps with one exit, numbered from `first`; `measures` as of `_lengths`, `places` of all exits."""
+        body, candidates = self._assembly.parts[part], self.candidates(part)
         poses = np.array([candidate.T_part_tool for candidate in candidates])
         starts = np.ascontiguousarray(body.T_world_part @ poses)
         inverses = np.ascontiguousarray(np.linalg.inv(poses))
-        bounds = tied(straight_line_bounds(body, candidates, self._lift, self._workcell.goal))
-        radius = float(body.shape.bounding_box().half_extents.min())
+        lifted, leads, lengths = measures
+        bounds = tied(lengths)
+        radius = _inner_radius(body)
+        hits, lines = self._masks(part, way, starts, inverses, radius, work)
+        same_place = np.abs(np.diff(poses[:, :3, 2:], axis=0)).max(axis=(1, 2)) < 1e-9
+        exchanged = same_place & (np.abs(poses[1:, :3, 1] + poses[:-1, :3, 1]).max(axis=1) < 1e-9)
+        partners: list[int | None] = [None] * len(candidates)
+        for k in np.nonzero(exchanged)[0].tolist():
+            partners[k], partners[k + 1] = first + k + 1, first + k
+        middle = (body.T_world_part @ body.shape.bounding_box().T_frame_box)[:3, 3]
+        cells = np.floor((starts[:, :3, 3] - middle + SAME_PLACE) / 0.06)  # in the world: a part's frame is no kind
+        kinds = np.column_stack([np.round(1e3 * starts[:, :3, 2]), cells]).astype(int).tolist()
+        states, line_states, parts = states_of(hits), states_of(lines), len(self._assembly.parts)
+        steepness = np.round(starts[:, 2, 2], TIED).tolist()
+        return [
+            Hand(
+                candidate=candidate,
+                grasp=k,
+                exit=way,
+                lead=float(leads[k]),
+                bound=float(bounds[k]),
+                lifted=lifted[k],
+                place=places[first + k],
+                radius=radius,
+                load=self._load(part, candidate.width),
+                T_tool_part=inverses[k],
+                steepness=steepness[k],
+                kind=(number, *kinds[k]),
+                partner=partners[k],
+                blockers=None if hits[k, parts] else states[k],
+                line=None if lines[k, parts] else line_states[k],
+            )
+            for k, candidate in enumerate(candidates)
+        ]
+
+    def _masks(
+        self, part: int, way: Exit, starts: Array, inverses: Array, radius: float, work: Workspace
+    ) -> tuple[Flags, Flags]:
+        """What the hand touches in each grasp, and what a ball in the part on the way to the goal, see `hand_masks`."""
+        candidates, parts = self.candidates(part), len(self._assembly.parts)
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
         hits = np.zeros((len(candidates), parts + 1), dtype=np.uint8)
         lines = np.zeros_like(hits)
         widths = np.array([candidate.width for candidate in candidates])
-        loads = {width: self._load(part, width) for width in np.unique(widths).tolist()}
-        for width, load in loads.items():
-            chosen = widths == width
+        end = end_of(way)
+        for width in np.unique(widths).tolist():
+            load, chosen = self._load(part, width), widths == width
             some_hits, some_lines = hits[chosen], lines[chosen]
             hand_masks(
                 self._robot.arm_at(width),
@@ -238,7 +324,7 @@ class Reach:
                 everything,
                 self._padding,
                 self._workcell.clearance,
-                self._lift,
+                end,
                 starts[chosen],
                 inverses[chosen],
                 self._workcell.goal,
@@ -250,43 +336,7 @@ class Reach:
             )
             hits[chosen], lines[chosen] = some_hits, some_lines
         lines[:, part] = 0
-        lifted = starts[:, :3, 3] + [0.0, 0.0, self._lift]
-        places = np.unique(np.round(lifted, 6), axis=0, return_inverse=True)[1].ravel().tolist()
-        same_place = np.abs(np.diff(poses[:, :3, 2:], axis=0)).max(axis=(1, 2)) < 1e-9
-        exchanged = same_place & (np.abs(poses[1:, :3, 1] + poses[:-1, :3, 1]).max(axis=1) < 1e-9)
-        partners: list[int | None] = [None] * len(candidates)
-        for k in np.nonzero(exchanged)[0].tolist():
-            partners[k], partners[k + 1] = k + 1, k
-        middle = (body.T_world_part @ body.shape.bounding_box().T_frame_box)[:3, 3]
-        cells = np.floor((starts[:, :3, 3] - middle + SAME_PLACE) / 0.06)  # in the world: a part's frame is no kind
-        kinds = np.column_stack([np.round(1e3 * starts[:, :3, 2]), cells]).astype(int).tolist()
-        states, line_states = states_of(hits), states_of(lines)
-        return tuple(
-            Hand(
-                candidate,
-                bound,
-                lifted[k],
-                places[k],
-                radius,
-                loads[candidate.width],
-                inverses[k],
-                steepness,
-                tuple(kinds[k]),
-                partners[k],
-                None if stuck else states[k],
-                None if walled else line_states[k],
-            )
-            for k, (candidate, bound, steepness, stuck, walled) in enumerate(
-                zip(
-                    candidates,
-                    bounds.tolist(),
-                    np.round(starts[:, 2, 2], TIED).tolist(),
-                    hits[:, parts].tolist(),
-                    lines[:, parts].tolist(),
-                    strict=True,
-                )
-            )
-        )
+        return hits, lines
 
     def _scene(self, part: int, number: int, work: Workspace) -> Scene:
         """The situation while the part is lifted; its load has flags of its own for what meets the world."""
@@ -300,16 +350,22 @@ class Reach:
         count, parts = len(solutions), len(self._assembly.parts)
         if not count:
             return _Lifts(np.empty((0, 0, 0)), np.empty((0, 0), dtype=np.uint8), [], {})
-        scene = self._scene(part, number, work)
+        scene, way = self._scene(part, number, work), self.hands(part, work)[number].exit
         for spacing in LIFT_SPACINGS:  # near a singularity the joints turn fast: only close rows keep the lift straight
-            rows = np.empty((count, round(np.ceil(self._lift / spacing)) + 1, self._robot.joints))
+            motion = motion_of(way, spacing, self._radius_of_motion(part))
+            rows = np.empty((count, len(motion), self._robot.joints))
             hits = np.zeros((count, parts + 1), dtype=np.uint8)
             good = np.zeros(count, dtype=np.uint8)
-            lift_ends(scene, solutions, self._lift, rows, hits, good)
+            lift_ends(scene, solutions, motion, rows, hits, good)
             if good.any():
                 break
         chosen = np.nonzero(good)[0]
         return _Lifts(rows[chosen], hits[chosen], states_of(hits[chosen]), {})
+
+    def _radius_of_motion(self, part: int) -> float:
+        """No point of the part is further from its frame's origin, m."""
+        box = self._assembly.parts[part].shape.bounding_box()
+        return float(np.linalg.norm(box.corners(), axis=1).max())
 
     def _complete(self, part: int, number: int, lifts: _Lifts, chosen: list[int], work: Workspace) -> None:
         """Looks at what is between the ends of some lifts."""
@@ -319,3 +375,11 @@ class Reach:
         complete_lifts(scene, rows, hits, good)
         for s, lifted, state, fine in zip(chosen, rows, states_of(hits), good, strict=True):
             lifts.branches[s] = LiftBranch(lifted, state) if fine else None
+
+
+def _inner_radius(body: Part) -> float:
+    """Of a ball around the tool that is inside the held part wherever the fingers hold it, m: known of a box; in a mesh
+    there may be nothing but the line between the pads."""
+    if isinstance(body.shape, Box):
+        return float(body.shape.bounding_box().half_extents.min())
+    return THINNEST

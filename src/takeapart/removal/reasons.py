@@ -101,7 +101,7 @@ class Reasons:
             return self._lift(blocked, present)
         work, reach = self._planner.workspace(), self._planner.reach
         hands = reach.hands(part, work)
-        free = [k for k, hand in enumerate(hands) if hand.blockers is not None and not hand.blockers & others]
+        free = [k for k, hand in enumerate(hands) if hand.way is not None and not hand.way & others]
         if not free:
             return self._hand(blocked, present)
         reached = [k for k in free if reach.branches(part, k, others, work)]
@@ -160,7 +160,7 @@ class Reasons:
 
     def _lift(self, blocked: Blocked, present: int) -> Reason:
         part, height = blocked.part, self._workcell.lift_height
-        mask = (self.named.lift_blockers[part] or 0) & present
+        mask = (self.named.exits.exits(part)[0].blockers or 0) & present
         own = self._boxes(part)
         after: dict[str, float] = {}
         for i in members(mask):
@@ -181,7 +181,7 @@ class Reasons:
     def _hand(self, blocked: Blocked, present: int) -> Reason:
         """Every grasp has something in its way: other bodies, or the part that is gripped."""
         hands = self.named.reach.hands(blocked.part, self.named.workspace())
-        masks = [hand.blockers & present for hand in hands if hand.blockers is not None]
+        masks = [hand.way & present for hand in hands if hand.way is not None]
         own = len(hands) - len(masks)
         counts, blamed = self._counts(masks), self._blamed(blocked, masks)
         text = f"the hand hits {counted(counts, len(masks), 'grasps')}" if masks else ""
@@ -196,9 +196,9 @@ class Reasons:
     def _arm(self, blocked: Blocked, present: int, free: Sequence[int]) -> Reason:
         """No free grasp can be held and lifted: the arm hits something each time, or does not get there."""
         part, named, work = blocked.part, self.named, self.named.workspace()
-        candidates = self._planner.reach.candidates(part)
+        hands = self._planner.reach.hands(part, self._planner.workspace())
         T_world_part = self._assembly.parts[part].T_world_part
-        centers = np.array([(T_world_part @ candidates[k].T_part_tool)[:3, 3] for k in free])
+        centers = np.array([(T_world_part @ hands[k].candidate.T_part_tool)[:3, 3] for k in free])
         distance = float(self.extent.distances(centers).min())
         numbers: Numbers = (("grasps", len(free)), ("distance", distance), ("reach", self.extent.length))
         # The inverse kinematics gives other samples where fewer grasps are hindered for good; one of them may be free.

@@ -106,6 +106,15 @@ def _turn(axes: Floats, k: int, T: Floats, moves: bool, moved: Floats) -> None:
 
 
 @compiled_lean
+def _carry(M: Floats, T: Floats) -> None:
+    """Moves a pose T (4, 4) by a motion of the world (3, 4), in place."""
+    for j in range(4):
+        x, y, z = T[0, j], T[1, j], T[2, j]
+        for i in range(3):
+            T[i, j] = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + (M[i, 3] if j == 3 else 0.0)
+
+
+@compiled_lean
 def hand_masks(
     arm: ArmArrays,
     load: HeldArrays,
@@ -113,7 +122,7 @@ def hand_masks(
     present: Flags,
     padding: float,
     clearance: float,
-    lift: float,
+    lift: Floats,
     T_world_tool: Floats,
     T_tool_part: Floats,
     goal: Floats,
@@ -123,12 +132,12 @@ def hand_masks(
     hits: Flags,
     lines: Flags,
 ) -> None:
-    """What hand and load touch in every one of K grasps, at the start without the part, lifted with it.
+    """What hand and load touch in every one of K grasps, at the start without the part, at the end of its exit with it.
 
     Args:
         load: fingers, and the part with its own frame for the tool's.
         clearance: from the load itself, m.
-        lift: height, m.
+        lift: (3, 4) motion of the world that takes the part from its place to where it is clear.
         T_world_tool: (K, 4, 4) at the start; overwritten.
         T_tool_part: (K, 4, 4).
         goal: (3,) m; a ball of the radius, m, moves there straight from the lifted tool.
@@ -146,7 +155,7 @@ def hand_masks(
         collect_hand(arm, scratch, world, present, padding, T, work, hits[k])
         for h in range(first, last):
             scratch.meets_world[h] = 1
-        T[2, 3] += lift
+        _carry(lift, T)
         collect_hand(arm, scratch, world, present, padding, T, work, hits[k])
         if hand_hits_load(arm, scratch, clearance, work):
             hits[k, fixed] = 1

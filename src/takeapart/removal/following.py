@@ -1,0 +1,67 @@
+"""An exit as a motion that a tool can follow at constant grasp: poses of the world by which everything held is moved."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from takeapart.model.geometry import Array, pose_inverse
+from takeapart.removal.exits import Exit
+
+ROUNDING = 12  # decimals, m, to which a straight way is known: the difference of two poses
+
+
+def end_of(way: Exit) -> Array:
+    """(3, 4) motion of the world that takes the part from its place to the end of an exit."""
+    if way.kind == "straight":
+        return _shifts(_straight(way)[None])[0]
+    return np.ascontiguousarray((way.poses[-1] @ pose_inverse(way.poses[0]))[:3])
+
+
+def motion_of(way: Exit, spacing: float, radius: float) -> Array:
+    """(L, 3, 4) the same in even steps, the first of them the identity: no point of the part moves further than about
+    `spacing`, m, from one to the next.
+
+    Args:
+        radius: no point of the part is further from its frame's origin, m.
+    """
+    if way.kind == "straight":
+        shift = _straight(way)
+        count = max(1, round(np.ceil(float(np.linalg.norm(shift)) / spacing)))
+        return _shifts(np.array([shift * k / count for k in range(count + 1)]))
+    kept, moved = [0], 0.0
+    for k in range(1, len(way.poses)):
+        step = _moved(way.poses[k - 1], way.poses[k], radius)
+        if moved > 0 and moved + step > spacing:
+            kept.append(k - 1)
+            moved = 0.0
+        moved += step
+    kept.append(len(way.poses) - 1)
+    return np.ascontiguousarray((way.poses[kept] @ pose_inverse(way.poses[0]))[:, :3])
+
+
+def lead_lengths(way: Exit, points: Array) -> Array:
+    """Lengths (K,), m, of the ways of points (K, 3), m, that move with the part along an exit."""
+    if way.kind == "straight":
+        return np.full(len(points), np.linalg.norm(_straight(way)))
+    motion = (way.poses @ pose_inverse(way.poses[0]))[:, :3]
+    ways = np.einsum("lij,kj->lki", motion[:, :, :3], points) + motion[:, None, :, 3]
+    return np.asarray(np.linalg.norm(np.diff(ways, axis=0), axis=2).sum(axis=0))
+
+
+def _straight(way: Exit) -> Array:
+    return np.round(way.poses[-1, :3, 3] - way.poses[0, :3, 3], ROUNDING)
+
+
+def _shifts(shifts: Array) -> Array:
+    motion = np.zeros((len(shifts), 3, 4))
+    motion[:, :3, :3] = np.eye(3)
+    motion[:, :, 3] = shifts
+    return motion
+
+
+def _moved(T_a: Array, T_b: Array, radius: float) -> float:
+    """How far any point of a part moves at most between two poses, m."""
+    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
+    return float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])) + radius * math.acos(min(1.0, max(-1.0, cosine)))
