@@ -1,0 +1,165 @@
+"""Static equilibrium of parts that press on each other: linear programs over the forces at points of contact.
+
+At every point the second body presses on the first along the normal, and rubs across it within the friction cone, here
+eight edges inside of it; joints pull at their points up to a strength. The parts stand if some such forces balance every
+weight. Bretl, Lall: Testing static equilibrium for legged robots, IEEE T-RO 2008; Whiting et al.: Procedural modeling
+of structurally-sound masonry buildings, SIGGRAPH Asia 2009 (what is missing as a measure of how far it is from standing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+from scipy.sparse import csc_array, hstack
+
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array
+from takeapart.stability.patches import ContactPatch
+
+GRAVITY = 9.81  # m/s^2
+SIDES = 8  # of a friction cone
+UNCARRIED = 1e-4  # share of a weight; less than this is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """The forces nearest to equilibrium.
+
+    Args:
+        missing: (N,) share of each part's weight that nothing carries.
+        tension: for each joint point, by number, N.
+    """
+
+    missing: Array
+    tension: dict[int, float]
+
+    @property
+    def holds(self) -> bool:
+        """Whether everything is carried."""
+        return not len(self.missing) or bool(self.missing.max() <= UNCARRIED)
+
+
+class Statics:
+    """Equilibrium of any set of parts of one product; what does not depend on the set is worked out once.
+
+    Args:
+        patches: where parts touch.
+        friction: coefficient at all contacts.
+        side_force: share of a joint's strength with which each of its points also resists sideways.
+    """
+
+    def __init__(
+        self, assembly: Assembly, patches: Sequence[ContactPatch], friction: float, side_force: float = 0.0
+    ) -> None:
+        parts = assembly.parts
+        self.weights = np.array([part.mass * GRAVITY for part in parts])
+        self.middles = np.array(
+            [part.T_world_part[:3, :3] @ part.shape.center_of_mass() + part.T_world_part[:3, 3] for part in parts]
+        )
+        columns: list[tuple[int, int, Array, Array, Array, int]] = []
+        for patch in patches:
+            forces = _cones(patch.normals, friction)  # (K, S, 3)
+            points = np.repeat(patch.points[:, None], forces.shape[1], axis=1)
+            count = forces.shape[0] * forces.shape[1]
+            columns.append(
+                (patch.first, patch.second, points.reshape(-1, 3), forces.reshape(-1, 3), np.full(count, np.inf), -1)
+            )
+        point = 0
+        for joint in assembly.joints:
+            first, second = assembly.index[joint.first], assembly.index[joint.second]
+            axis = np.asarray(joint.axis)
+            across = np.linalg.svd(axis[None])[2][1:]
+            for place in joint.points:
+                forces = np.concatenate([axis[None], across, -across])  # on the first: towards the second
+                limits = joint.strength * np.array([1.0] + 4 * [side_force])
+                if not side_force:
+                    forces, limits = forces[:1], limits[:1]
+                columns.append((first, second, np.tile(place, (len(forces), 1)), forces, limits, point))
+                point += 1
+        self._build(columns, len(parts))
+
+    def _build(self, columns: list[tuple[int, int, Array, Array, Array, int]], parts: int) -> None:
+        sizes = [len(column[3]) for column in columns]
+        self.first = np.repeat(np.array([column[0] for column in columns], dtype=np.int64), sizes)
+        self.second = np.repeat(np.array([column[1] for column in columns], dtype=np.int64), sizes)
+        self.joint_point = np.repeat(np.array([column[5] for column in columns], dtype=np.int64), sizes)
+        points = np.concatenate([np.empty((0, 3)), *(column[2] for column in columns)])
+        forces = np.concatenate([np.empty((0, 3)), *(column[3] for column in columns)])
+        self.limits = np.concatenate([np.empty(0), *(column[4] for column in columns)])
+        count = len(forces)
+        values, rows = [], []
+        self.size = float(np.ptp(points, axis=0).max()) if count else 1.0  # moments are divided by it
+        for body, sign in ((self.first, 1.0), (self.second, -1.0)):
+            moments = np.cross(points - self.middles[body], forces) / max(self.size, 1e-3)
+            values.append(sign * np.hstack([forces, moments]))
+            rows.append(6 * body[:, None] + np.arange(6))
+        entries = (np.hstack(values).ravel(), (np.hstack(rows).ravel(), np.repeat(np.arange(count), 12)))
+        self.matrix = csc_array(entries, shape=(6 * parts, count))
+
+    def columns_of(self, loose: Sequence[int], standing: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Numbers of the forces that act on any of the loose parts, from these or from what stands anyhow."""
+        there = standing.copy()
+        there[list(loose)] = True
+        moving = np.zeros(len(there), dtype=bool)
+        moving[list(loose)] = True
+        first, second = self.first, self.second
+        return np.nonzero(there[first] & there[second] & (moving[first] | moving[second]))[0]
+
+    def balance(
+        self, loose: Sequence[int], standing: NDArray[np.bool_], down: Array, spare: float | None = None
+    ) -> Balance:
+        """The least weight that nothing carries.
+
+        Args:
+            loose: numbers of the parts that must be carried.
+            standing: (parts,) which others stand anyhow: fixed, or held.
+            down: (3,) unit, the direction of gravity.
+            spare: if given, joints are this many times as strong.
+        """
+        chosen = self.columns_of(loose, standing)
+        rows = (6 * np.asarray(loose)[:, None] + np.arange(6)).ravel()
+        weights = self.weights[list(loose)]
+        unit = float(weights.mean())
+        forces = self.matrix[:, chosen][rows]
+        load = np.zeros((len(loose), 6))
+        load[:, :3] = weights[:, None] / unit * down
+        N = len(loose)
+        lift = csc_array(
+            (-load[:, :3].ravel(), ((6 * np.arange(N)[:, None] + np.arange(3)).ravel(), np.repeat(np.arange(N), 3))),
+            shape=(6 * N, N),
+        )
+        limits = self.limits[chosen] * (spare or 1.0) / unit
+        upper = np.concatenate([limits, np.ones(N)])
+        cost = np.concatenate([np.zeros(len(chosen)), np.ones(N)])
+        found = linprog(
+            cost,
+            A_eq=hstack([forces, lift], format="csc"),
+            b_eq=-load.ravel(),
+            bounds=np.stack([np.zeros(len(upper)), upper], axis=1),
+            method="highs-ds",
+        )
+        if found.status != 0:  # never, but for numbers at the edge of what the solver takes
+            return Balance(np.ones(N), {})
+        points = self.joint_point[chosen]
+        pulls = np.nonzero(points >= 0)[0]
+        tension: dict[int, float] = {}
+        for k in pulls:
+            tension[int(points[k])] = max(tension.get(int(points[k]), 0.0), float(found.x[k]) * unit)
+        return Balance(np.clip(found.x[len(chosen) :], 0.0, 1.0), tension)
+
+
+def _cones(normals: Array, friction: float) -> Array:
+    """Edges (K, S, 3) of friction cones inside the round one, about unit normals (K, 3)."""
+    if not friction:
+        return np.asarray(normals[:, None])
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    u = np.cross(normals, helper)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(normals, u)
+    angles = np.arange(SIDES) * (2 * np.pi / SIDES)
+    across = np.cos(angles)[:, None] * u[:, None] + np.sin(angles)[:, None] * v[:, None]
+    return np.asarray(normals[:, None] + friction * across)
