@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -225,22 +226,13 @@ def _corners(first: Facets, second: Facets, a: Integers, b: Integers, window: tu
 
 def _edges(first: Facets, second: Facets, a: Integers, b: Integers, window: tuple[float, float]) -> _Points:
     """Sharp convex edges of both bodies that cross."""
-    rows = [np.concatenate([a, a, a]), np.concatenate([b, b, b])]
-    edge = [np.repeat([0, 1, 2], len(a)), np.repeat([0, 1, 2], len(b))]
-    sharp = [facets.bend[row, k] > SHARP for facets, row, k in zip((first, second), rows, edge, strict=True)]
-    sharp = [keep & (facets.across[row, k] > row) for keep, facets, row, k in zip(sharp, (first, second), rows, edge, strict=True)]
-    pairs = np.concatenate(
-        [
-            np.stack([rows[0], edge[0], np.roll(rows[1], -len(a) * shift), np.roll(edge[1], -len(a) * shift)])[
-                :, sharp[0] & np.roll(sharp[1], -len(a) * shift)
-            ]
-            for shift in range(3)
-        ],
-        axis=1,
+    pairs = [np.stack([a, np.full(len(a), k), b, np.full(len(b), n)]) for k in range(3) for n in range(3)]
+    found = np.concatenate(
+        [pair[:, _is_ridge(first, pair[0], pair[1]) & _is_ridge(second, pair[2], pair[3])] for pair in pairs], axis=1
     )
-    if not pairs.shape[1]:
+    if not found.shape[1]:
         return _Points(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-    ra, ka, rb, kb = np.unique(pairs, axis=1)
+    ra, ka, rb, kb = np.unique(found, axis=1)
     p, q = first.corners[ra, ka], second.corners[rb, kb]
     u, v = first.corners[ra, (ka + 1) % 3] - p, second.corners[rb, (kb + 1) % 3] - q
     lengths = np.linalg.norm(u, axis=1), np.linalg.norm(v, axis=1)
@@ -265,15 +257,20 @@ def _edges(first: Facets, second: Facets, a: Integers, b: Integers, window: tupl
     return _Points(places[keep], normals[keep], gaps[keep])
 
 
+def _is_ridge(facets: Facets, rows: Integers, k: Integers) -> NDArray[np.bool_]:
+    """Whether edges k of facets are sharp and convex; of the two facets at an edge, one counts."""
+    return np.asarray((facets.bend[rows, k] > SHARP) & (facets.across[rows, k] > rows))
+
+
 def _alike(normals: Array, cosine: float) -> Iterator[Integers]:
     """Groups of normals (N, 3) that are closer than an angle to the group's first."""
     rounded, number = np.unique(np.round(normals, 3), axis=0, return_inverse=True)
     number = number.ravel()
     counts = np.bincount(number)
-    left = np.ones(len(rounded), dtype=bool)
+    left, lengths = np.ones(len(rounded), dtype=bool), np.linalg.norm(rounded, axis=1)
     for k in np.argsort(-counts, kind="stable"):
         if left[k]:
-            group = left & (rounded @ rounded[k] >= cosine * np.linalg.norm(rounded[k]) * np.linalg.norm(rounded, axis=1))
+            group = left & (rounded @ rounded[k] >= cosine * lengths * lengths[k])
             left &= ~group
             yield np.nonzero(group[number])[0]
 

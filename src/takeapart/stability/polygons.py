@@ -30,7 +30,10 @@ class Polygons:
         return Polygons(self.points[rows], self.sizes[rows])
 
     def cut(self, inside: Array) -> Polygons:
-        """What is left where a linear function, given at the corners (N, M), is not below 0; Sutherland and Hodgman, 1974."""
+        """What is left where a linear function, given at the corners (N, M), is not below 0.
+
+        Sutherland and Hodgman: Reentrant polygon clipping, 1974.
+        """
         N, M, _ = self.points.shape
         present = self.present
         following = np.where(np.arange(M) + 1 < self.sizes[:, None], np.arange(M) + 1, 0)
@@ -43,4 +46,4 @@ class Polygons:
         points = np.stack([self.points, between], axis=2).reshape(N, 2 * M, 3)
         valid = np.stack([kept, crossing], axis=2).reshape(N, 2 * M)
         order = np.argsort(~valid, axis=1, kind="stable")[:, : M + 1]
-        return Polygons(points[rows, order], valid.sum(axis=1))
+        return Polygons(points[rows, order], np.minimum(valid.sum(axis=1), M + 1))

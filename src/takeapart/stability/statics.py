@@ -1,9 +1,9 @@
 """Static equilibrium of parts that press on each other: linear programs over the forces at points of contact.
 
 At every point the second body presses on the first along the normal, and rubs across it within the friction cone, here
-eight edges inside of it; joints pull at their points up to a strength. The parts stand if some such forces balance every
-weight. Bretl, Lall: Testing static equilibrium for legged robots, IEEE T-RO 2008; Whiting et al.: Procedural modeling
-of structurally-sound masonry buildings, SIGGRAPH Asia 2009 (what is missing as a measure of how far it is from standing).
+eight edges inside of it; joints pull at their points up to a strength. The parts stand if some such forces balance
+every weight. Bretl, Lall: Testing static equilibrium for legged robots, IEEE T-RO 2008; Whiting et al.: Procedural
+modeling of structurally-sound masonry buildings, SIGGRAPH Asia 2009 (what is missing as a measure).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from scipy.sparse import csc_array, hstack
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
 from takeapart.stability.patches import ContactPatch
+from takeapart.stability.wedging import rubbing
 
 GRAVITY = 9.81  # m/s^2
 SIDES = 8  # of a friction cone
@@ -50,10 +51,16 @@ class Statics:
         patches: where parts touch.
         friction: coefficient at all contacts.
         side_force: share of a joint's strength with which each of its points also resists sideways.
+        strength: if given, N: that of every joint, instead of its own.
     """
 
     def __init__(
-        self, assembly: Assembly, patches: Sequence[ContactPatch], friction: float, side_force: float = 0.0
+        self,
+        assembly: Assembly,
+        patches: Sequence[ContactPatch],
+        friction: float,
+        side_force: float = 0.0,
+        strength: float | None = None,
     ) -> None:
         parts = assembly.parts
         self.weights = np.array([part.mass * GRAVITY for part in parts])
@@ -61,8 +68,8 @@ class Statics:
             [part.T_world_part[:3, :3] @ part.shape.center_of_mass() + part.T_world_part[:3, 3] for part in parts]
         )
         columns: list[tuple[int, int, Array, Array, Array, int]] = []
-        for patch in patches:
-            forces = _cones(patch.normals, friction)  # (K, S, 3)
+        for patch, rubs in zip(patches, rubbing(assembly, patches), strict=True):
+            forces = _cones(patch.normals, friction if rubs else 0.0)  # (K, S, 3)
             points = np.repeat(patch.points[:, None], forces.shape[1], axis=1)
             count = forces.shape[0] * forces.shape[1]
             columns.append(
@@ -75,7 +82,7 @@ class Statics:
             across = np.linalg.svd(axis[None])[2][1:]
             for place in joint.points:
                 forces = np.concatenate([axis[None], across, -across])  # on the first: towards the second
-                limits = joint.strength * np.array([1.0] + 4 * [side_force])
+                limits = (joint.strength if strength is None else strength) * np.array([1.0] + 4 * [side_force])
                 if not side_force:
                     forces, limits = forces[:1], limits[:1]
                 columns.append((first, second, np.tile(place, (len(forces), 1)), forces, limits, point))
@@ -92,9 +99,9 @@ class Statics:
         self.limits = np.concatenate([np.empty(0), *(column[4] for column in columns)])
         count = len(forces)
         values, rows = [], []
-        self.size = float(np.ptp(points, axis=0).max()) if count else 1.0  # moments are divided by it
+        self.size = max(float(np.ptp(points, axis=0).max()), 1e-3) if count else 1.0  # moments are divided by it
         for body, sign in ((self.first, 1.0), (self.second, -1.0)):
-            moments = np.cross(points - self.middles[body], forces) / max(self.size, 1e-3)
+            moments = np.cross(points - self.middles[body], forces) / self.size
             values.append(sign * np.hstack([forces, moments]))
             rows.append(6 * body[:, None] + np.arange(6))
         entries = (np.hstack(values).ravel(), (np.hstack(rows).ravel(), np.repeat(np.arange(count), 12)))
@@ -110,32 +117,29 @@ class Statics:
         return np.nonzero(there[first] & there[second] & (moving[first] | moving[second]))[0]
 
     def balance(
-        self, loose: Sequence[int], standing: NDArray[np.bool_], down: Array, spare: float | None = None
+        self, loose: Sequence[int], standing: NDArray[np.bool_], shift: Array, stronger: float = 1.0
     ) -> Balance:
-        """The least weight that nothing carries.
+        """The least share of weights that nothing carries.
 
         Args:
             loose: numbers of the parts that must be carried.
             standing: (parts,) which others stand anyhow: fixed, or held.
-            down: (3,) unit, the direction of gravity.
-            spare: if given, joints are this many times as strong.
+            shift: (3,) m, by which the centres of mass are moved.
+            stronger: joints are this many times as strong as they are.
         """
         chosen = self.columns_of(loose, standing)
         rows = (6 * np.asarray(loose)[:, None] + np.arange(6)).ravel()
         weights = self.weights[list(loose)]
         unit = float(weights.mean())
         forces = self.matrix[:, chosen][rows]
-        load = np.zeros((len(loose), 6))
-        load[:, :3] = weights[:, None] / unit * down
         N = len(loose)
-        lift = csc_array(
-            (-load[:, :3].ravel(), ((6 * np.arange(N)[:, None] + np.arange(3)).ravel(), np.repeat(np.arange(N), 3))),
-            shape=(6 * N, N),
-        )
-        limits = self.limits[chosen] * (spare or 1.0) / unit
+        down = np.array([0.0, 0.0, -1.0])
+        load = weights[:, None] / unit * np.concatenate([down, np.cross(shift, down) / self.size])  # (N, 6)
+        lift = csc_array((-load.ravel(), (np.arange(6 * N), np.repeat(np.arange(N), 6))), shape=(6 * N, N))
+        limits = self.limits[chosen] * stronger / unit
         upper = np.concatenate([limits, np.ones(N)])
         cost = np.concatenate([np.zeros(len(chosen)), np.ones(N)])
-        found = linprog(
+        found = linprog(  # type: ignore[call-overload]  # the stubs know no sparse matrices
             cost,
             A_eq=hstack([forces, lift], format="csc"),
             b_eq=-load.ravel(),
