@@ -184,18 +184,19 @@ class ContactStability:
         failed = self._failed(loose, standing)
         if failed is None:
             return STANDS
-        share = dict.fromkeys(loose, 0.0)
-        left = loose
-        while failed is not None:
-            fallen = {part for part, lack in zip(left, failed.missing, strict=True) if lack > UNCARRIED}
-            share |= {part: float(lack) for part, lack in zip(left, failed.missing, strict=True) if part in fallen}
-            left = [part for part in left if part not in fallen]
-            failed = self._failed(left, standing) if left else None
-        falls = [part for part in loose if part not in left]
+        lacks = zip(loose, failed.missing, strict=True)
+        share = {part: float(lack) for part, lack in lacks if lack > UNCARRIED}
+        left = sum(1 << part for part in loose if part not in share)
+        for group in self.groups(left, held):  # what rests on the fallen ones falls too
+            verdict = self._group(group, held)
+            share |= dict.fromkeys(verdict.falls, 0.0)
+        falls = sorted(share)
         return Verdict(False, tuple(falls), tuple(share[part] for part in falls))
 
     def _failed(self, loose: list[int], standing: NDArray[np.bool_]) -> Balance | None:
         """The forces nearest to equilibrium where there is none."""
+        if all(self.statics.balance(loose, standing, shift, smooth=True).holds for shift in shifts(self.shift)):
+            return None
         for shift in shifts(self.shift):
             balance = self.statics.balance(loose, standing, shift)
             if not balance.holds:

@@ -32,7 +32,7 @@ class Balance:
 
     Args:
         missing: (N,) share of each part's weight that nothing carries.
-        tension: for each joint point, by number, N.
+        tension: N, by number of the joint: the greatest at any of its points.
     """
 
     missing: Array
@@ -42,6 +42,25 @@ class Balance:
     def holds(self) -> bool:
         """Whether everything is carried."""
         return not len(self.missing) or bool(self.missing.max() <= UNCARRIED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """Forces that may act at points (K, 3), m, along directions (K, 3) on the first part of a pair, and back on the
+    second, up to a limit, N.
+
+    Args:
+        smooth, rough: whether they count where nothing rubs, and where it does.
+        joint: number of the joint that pulls; -1 for none.
+    """
+
+    pair: tuple[int, int]
+    points: Array
+    directions: Array
+    limit: float
+    smooth: bool
+    rough: bool
+    joint: int = -1
 
 
 class Statics:
@@ -67,57 +86,59 @@ class Statics:
         self.middles = np.array(
             [part.T_world_part[:3, :3] @ part.shape.center_of_mass() + part.T_world_part[:3, 3] for part in parts]
         )
-        columns: list[tuple[int, int, Array, Array, Array, int]] = []
+        columns: list[_Forces] = []
         for patch, rubs in zip(patches, rubbing(assembly, patches), strict=True):
-            forces = _cones(patch.normals, friction if rubs else 0.0)  # (K, S, 3)
-            points = np.repeat(patch.points[:, None], forces.shape[1], axis=1)
-            count = forces.shape[0] * forces.shape[1]
-            columns.append(
-                (patch.first, patch.second, points.reshape(-1, 3), forces.reshape(-1, 3), np.full(count, np.inf), -1)
-            )
-        point = 0
-        for joint in assembly.joints:
-            first, second = assembly.index[joint.first], assembly.index[joint.second]
-            axis = np.asarray(joint.axis)
-            across = np.linalg.svd(axis[None])[2][1:]
-            for place in joint.points:
-                forces = np.concatenate([axis[None], across, -across])  # on the first: towards the second
-                limits = (joint.strength if strength is None else strength) * np.array([1.0] + 4 * [side_force])
-                if not side_force:
-                    forces, limits = forces[:1], limits[:1]
-                columns.append((first, second, np.tile(place, (len(forces), 1)), forces, limits, point))
-                point += 1
-        self._build(columns, len(parts))
-
-    def _build(self, columns: list[tuple[int, int, Array, Array, Array, int]], parts: int) -> None:
-        sizes = [len(column[3]) for column in columns]
-        self.first = np.repeat(np.array([column[0] for column in columns], dtype=np.int64), sizes)
-        self.second = np.repeat(np.array([column[1] for column in columns], dtype=np.int64), sizes)
-        self.joint_point = np.repeat(np.array([column[5] for column in columns], dtype=np.int64), sizes)
-        points = np.concatenate([np.empty((0, 3)), *(column[2] for column in columns)])
-        forces = np.concatenate([np.empty((0, 3)), *(column[3] for column in columns)])
-        self.limits = np.concatenate([np.empty(0), *(column[4] for column in columns)])
-        count = len(forces)
+            pair = patch.first, patch.second
+            columns.append(_Forces(pair, patch.points, patch.normals, np.inf, smooth=True, rough=not rubs))
+            if rubs:
+                edges = _cones(patch.normals, friction).reshape(-1, 3)
+                points = np.repeat(patch.points, SIDES, axis=0)
+                columns.append(_Forces(pair, points, edges, np.inf, smooth=False, rough=True))
+        for number, joint in enumerate(assembly.joints):
+            pair = assembly.index[joint.first], assembly.index[joint.second]
+            limit = joint.strength if strength is None else strength
+            axes = np.tile(joint.axis, (len(joint.points), 1))  # the first is pulled towards the second
+            columns.append(_Forces(pair, joint.points, axes, limit, smooth=True, rough=True, joint=number))
+            if side_force:
+                across = np.linalg.svd(joint.axis[None])[2][1:]
+                sides = np.tile(np.concatenate([across, -across]), (len(joint.points), 1))
+                points = np.repeat(joint.points, 4, axis=0)
+                columns.append(_Forces(pair, points, sides, side_force * limit, smooth=True, rough=True))
+        sizes = [len(column.points) for column in columns]
+        self.first = np.repeat(np.array([column.pair[0] for column in columns], dtype=np.int64), sizes)
+        self.second = np.repeat(np.array([column.pair[1] for column in columns], dtype=np.int64), sizes)
+        self.joint = np.repeat(np.array([column.joint for column in columns], dtype=np.int64), sizes)
+        self.limits = np.repeat(np.array([column.limit for column in columns]), sizes)
+        self.smooth = np.repeat(np.array([column.smooth for column in columns], dtype=bool), sizes)
+        self.rough = np.repeat(np.array([column.rough for column in columns], dtype=bool), sizes)
+        points = np.concatenate([np.empty((0, 3)), *(column.points for column in columns)])
+        forces = np.concatenate([np.empty((0, 3)), *(column.directions for column in columns)])
+        self.size = max(float(np.ptp(points, axis=0).max()), 1e-3) if len(points) else 1.0  # moments are divided by it
         values, rows = [], []
-        self.size = max(float(np.ptp(points, axis=0).max()), 1e-3) if count else 1.0  # moments are divided by it
         for body, sign in ((self.first, 1.0), (self.second, -1.0)):
             moments = np.cross(points - self.middles[body], forces) / self.size
             values.append(sign * np.hstack([forces, moments]))
             rows.append(6 * body[:, None] + np.arange(6))
-        entries = (np.hstack(values).ravel(), (np.hstack(rows).ravel(), np.repeat(np.arange(count), 12)))
-        self.matrix = csc_array(entries, shape=(6 * parts, count))
+        entries = (np.hstack(values).ravel(), (np.hstack(rows).ravel(), np.repeat(np.arange(len(points)), 12)))
+        self.matrix = csc_array(entries, shape=(6 * len(parts), len(points)))
 
-    def columns_of(self, loose: Sequence[int], standing: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def _columns_of(self, loose: Sequence[int], standing: NDArray[np.bool_], smooth: bool) -> NDArray[np.int64]:
         """Numbers of the forces that act on any of the loose parts, from these or from what stands anyhow."""
         there = standing.copy()
         there[list(loose)] = True
         moving = np.zeros(len(there), dtype=bool)
         moving[list(loose)] = True
         first, second = self.first, self.second
-        return np.nonzero(there[first] & there[second] & (moving[first] | moving[second]))[0]
+        acting = there[first] & there[second] & (moving[first] | moving[second])
+        return np.nonzero(acting & (self.smooth if smooth else self.rough))[0]
 
     def balance(
-        self, loose: Sequence[int], standing: NDArray[np.bool_], shift: Array, stronger: float = 1.0
+        self,
+        loose: Sequence[int],
+        standing: NDArray[np.bool_],
+        shift: Array,
+        stronger: float = 1.0,
+        smooth: bool = False,
     ) -> Balance:
         """The least share of weights that nothing carries.
 
@@ -126,8 +147,9 @@ class Statics:
             standing: (parts,) which others stand anyhow: fixed, or held.
             shift: (3,) m, by which the centres of mass are moved.
             stronger: joints are this many times as strong as they are.
+            smooth: without friction, which is quicker: what stands so stands with it.
         """
-        chosen = self.columns_of(loose, standing)
+        chosen = self._columns_of(loose, standing, smooth)
         rows = (6 * np.asarray(loose)[:, None] + np.arange(6)).ravel()
         weights = self.weights[list(loose)]
         unit = float(weights.mean())
@@ -148,18 +170,15 @@ class Statics:
         )
         if found.status != 0:  # never, but for numbers at the edge of what the solver takes
             return Balance(np.ones(N), {})
-        points = self.joint_point[chosen]
-        pulls = np.nonzero(points >= 0)[0]
         tension: dict[int, float] = {}
-        for k in pulls:
-            tension[int(points[k])] = max(tension.get(int(points[k]), 0.0), float(found.x[k]) * unit)
+        for k in np.nonzero(self.joint[chosen] >= 0)[0]:
+            joint = int(self.joint[chosen[k]])
+            tension[joint] = max(tension.get(joint, 0.0), float(found.x[k]) * unit)
         return Balance(np.clip(found.x[len(chosen) :], 0.0, 1.0), tension)
 
 
 def _cones(normals: Array, friction: float) -> Array:
     """Edges (K, S, 3) of friction cones inside the round one, about unit normals (K, 3)."""
-    if not friction:
-        return np.asarray(normals[:, None])
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     u = np.cross(normals, helper)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
