@@ -20,7 +20,7 @@ from takeapart.stability.patches import ContactPatch, contact_patches
 from takeapart.stability.statics import UNCARRIED, Balance, Statics
 from takeapart.states import members
 
-SHIFT = 2e-4  # m, by which centres of mass may lie elsewhere: what stands only as drawn stands on an edge
+SHIFT = 1e-3  # m, by which centres of mass may lie elsewhere: what stands only as drawn stands on an edge
 STEADY = 0.98  # share of the friction that is counted on
 
 

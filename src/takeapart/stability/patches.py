@@ -91,8 +91,8 @@ def _touching(first: Facets, second: Facets, gap: float, depth: float) -> _Point
     facing = (first.normals[a] * second.normals[b]).sum(axis=1) < -FACING
     found = [
         _areas(first, second, a[facing], b[facing], (gap, depth)),
-        _corners(first, second, a[~facing], b[~facing], (gap, depth)),
-        _reversed(_corners(second, first, b[~facing], a[~facing], (gap, depth))),
+        _corners(first, second, a, b, facing, (gap, depth)),
+        _reversed(_corners(second, first, b, a, facing, (gap, depth))),
         _edges(first, second, a, b, (gap, depth)),
     ]
     return _Points(
@@ -199,13 +199,16 @@ def _inset(facets: Facets, rows: Integers, points: Array) -> Array:
     return np.asarray(np.where(np.abs(facets.bend[rows]) > FLAT, within, 1.0).min(axis=1))
 
 
-def _corners(first: Facets, second: Facets, a: Integers, b: Integers, window: tuple[float, float]) -> _Points:
-    """Corners of the first body that press on facets of the second: where it is locally nearest."""
+def _corners(
+    first: Facets, second: Facets, a: Integers, b: Integers, facing: NDArray[np.bool_], window: tuple[float, float]
+) -> _Points:
+    """Corners of the first body that press on facets of the second: where it is locally nearest, and no area is."""
     vertex, facet = first.triangles[a].ravel(), np.repeat(b, 3)
     places, plane = first.vertices[vertex], second.normals[facet]
     gaps = ((places - second.corners[facet, 0]) * plane).sum(axis=1)
-    near = (gaps <= window[0]) & (gaps >= -window[1])
-    vertex, facet = np.unique(np.stack([vertex[near], facet[near]]), axis=1) if near.any() else (vertex[:0], facet[:0])
+    pair = vertex * len(second.triangles) + facet
+    near = (gaps <= window[0]) & (gaps >= -window[1]) & ~np.isin(pair, pair[np.repeat(facing, 3)])
+    vertex, facet = np.divmod(np.unique(pair[near]), len(second.triangles))
     places, plane, corners = first.vertices[vertex], second.normals[facet], second.corners[facet]
     inward = np.cross(plane[:, None], np.roll(corners, -1, axis=1) - corners)
     inward /= np.maximum(np.linalg.norm(inward, axis=2, keepdims=True), 1e-300)
@@ -249,10 +252,13 @@ def _edges(first: Facets, second: Facets, a: Integers, b: Integers, window: tupl
     gaps = -(w * normals).sum(axis=1)
     keep = (sine > 0.1) & (s > RIM) & (s < lengths[0] - RIM) & (t > RIM) & (t < lengths[1] - RIM)
     keep &= (gaps <= window[0]) & (gaps >= -window[1])
+    for row in (ra, first.across[ra, ka]):  # not where faces face each other: there areas touch
+        for column in (rb, second.across[rb, kb]):
+            keep &= (first.normals[row] * second.normals[column]).sum(axis=1) > -FACING
     for facets, row, k, along, sign in ((first, ra, ka, u, 1.0), (second, rb, kb, v, -1.0)):
         other = facets.across[row, k]
         for inward in (np.cross(facets.normals[row], along), -np.cross(facets.normals[other], along)):
-            keep &= sign * (inward * normals).sum(axis=1) > 1e-3
+            keep &= sign * (inward * normals).sum(axis=1) > -1e-3
     places = (p + s[:, None] * u + q + t[:, None] * v) / 2
     return _Points(places[keep], normals[keep], gaps[keep])
 

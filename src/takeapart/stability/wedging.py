@@ -2,7 +2,8 @@
 
 A rigid peg in a rigid hole could be clamped by any force, and hold by friction whatever hangs on it; equilibrium alone
 cannot say that nobody clamps it. So where a part has contacts on two opposite sides that gravity does not press on,
-these guide it and do not rub. Pairs that are meant to overlap are clamped.
+these guide it and do not rub. Between several parts a wedge that narrows downwards is pressed, and so are the blocks of
+an arch. Pairs that are meant to overlap are clamped.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from takeapart.stability.patches import RIM, ContactPatch
 
 OPPOSITE = np.cos(np.radians(25.0))  # normals
 SIDEWAYS = 0.15  # greatest vertical component of a normal on which weight does not press
+TAPER = 0.02  # sum of the vertical components of opposite normals from which weight presses into a wedge
 
 
 def rubbing(assembly: Assembly, patches: Sequence[ContactPatch]) -> list[bool]:
@@ -40,7 +42,8 @@ def rubbing(assembly: Assembly, patches: Sequence[ContactPatch]) -> list[bool]:
                 continue
             one, other = patches[found[a][0]], patches[found[b][0]]
             same_pair = {one.first, one.second} == {other.first, other.second}
-            sideways = max(abs(towards[a, 2]), abs(towards[b, 2])) <= SIDEWAYS
+            heights = towards[[a, b], 2]
+            sideways = np.abs(heights).max() <= SIDEWAYS and heights.sum() <= TAPER
             if (same_pair or sideways) and _face(one, other):
                 rubs[found[a][0]] = rubs[found[b][0]] = False
     return rubs
