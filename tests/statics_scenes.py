@@ -17,8 +17,8 @@ SECONDS = 2.0
 
 def block(
     name: str,
-    size: Sequence[float],
-    position: Sequence[float],
+    size: Sequence[float] | Array,
+    position: Sequence[float] | Array,
     fixed: bool = False,
     turn: Sequence[float] = (0.0, 0.0, 0.0),
     mass: float | None = None,
