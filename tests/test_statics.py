@@ -96,7 +96,7 @@ def test_counterweight_that_leaves_lets_a_plank_fall() -> None:
     assert reasons(scene, ["weight"])["plank"] == (
         "'plank' tips over 'wall': its centre of mass lies 10.0 mm beyond it"
     )
-    assert reasons(scene, ["plank"])["weight"] == "'weight' floats: nothing that stands touches it within 0.5 mm"
+    assert reasons(scene, ["plank"])["weight"] == "'weight' floats: nothing else is within 0.5 mm"
 
 
 def test_bar_on_two_supports_needs_both_and_what_rests_on_it_falls_too() -> None:
@@ -180,7 +180,11 @@ def ring(outer: float, inner: float, height: float) -> trimesh.Trimesh:
 def test_peg_in_a_hole_is_not_held_by_friction_that_nobody_presses() -> None:
     plate = ring(0.03, 0.0101, 0.02)
     peg = trimesh.creation.cylinder(0.01, 0.06, sections=36)
-    assert falls(product(solid("plate", plate, True), solid("peg", peg))) == ["peg"]
+    loose = product(solid("plate", plate, True), solid("peg", peg))
+    assert falls(loose) == ["peg"]
+    assert reasons(loose) == {"peg": "'peg' drops: nothing that it touches is below it"}
+    meant = replace(loose, allowed_overlaps=(("plate", "peg"),))
+    assert not falls(meant), "a fit that is meant to overlap clamps"
     collar = trimesh.creation.cylinder(0.014, 0.004, sections=36)
     collar.apply_translation((0.0, 0.0, 0.012))
     faces = np.concatenate([peg.faces, collar.faces + len(peg.vertices)]).astype(np.int32)
@@ -289,8 +293,10 @@ def test_product_that_falls_as_drawn_is_refused_with_what_would_carry_it() -> No
     )
     with pytest.raises(InputError) as caught:
         require_standing(high)
-    assert "'b' floats: nothing that stands touches it within 0.5 mm (and 1 more" in str(caught.value)
-    assert "everything stands with a contact gap of 2 mm" in str(caught.value)
+    assert "'b' floats with 1 more that it touches: nothing else is within 0.5 mm (and 1 more falls)" in str(
+        caught.value
+    )
+    assert "with a contact gap of 2 mm everything stands" in str(caught.value)
     plank = block("plank", (0.3, 0.05, 0.02), (0.1, 0.0, 0.11))
     with pytest.raises(InputError, match=r"'plank' tips over 'post': its centre of mass lies 50\.0 mm beyond it"):
         require_standing(product(block("post", (0.1, 0.1, 0.1), (0.0, 0.0, 0.05), fixed=True), plank))

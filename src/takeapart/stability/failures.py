@@ -13,7 +13,7 @@ from takeapart.stability.contacts import ContactStability
 from takeapart.stability.statics import Statics
 from takeapart.states import members
 
-Cause = Literal["floats", "joint", "slides", "tips", "rests"]
+Cause = Literal["floats", "joint", "slides", "tips", "drops", "rests"]
 GREATEST_FRICTION = 2.0  # where more would be needed, friction is not what lacks
 STRONGEST = 1e4  # times the strength of the joints; the same
 HALVINGS = 20  # of what lies between too little and enough
@@ -26,12 +26,13 @@ class Failure:
 
     Args:
         part: number of the part.
-        cause: it "floats": nothing of the state touches it; a "joint" lets go; it "slides"; it "tips"; it "rests" on
-            parts that fall.
+        cause: it "floats": neither it nor what it touches reaches anything fixed; a "joint" lets go; it "slides"; it
+            "tips" over what carries it; it "drops", since nothing that it touches is below it; it "rests" on parts
+            that fall.
         other: number of the part that it leaves or rests on; None for none.
         joint: name of the joint.
         amount: joint: N that each of its points would have to hold; slides: friction that would hold it; tips: m from
-            the centre of mass to what carries the part; else 0.
+            the centre of mass to what carries the part; floats: how many other parts float with it; else 0.
         limit: joint: N that each point holds; slides: the friction there is; else 0.
         missing: share of its weight that nothing carries.
     """
@@ -49,16 +50,19 @@ class Failure:
         name = repr(assembly.parts[self.part].name)
         other = "" if self.other is None else repr(assembly.parts[self.other].name)
         if self.cause == "floats":
-            return f"{name} floats: nothing that stands touches it within {1e3 * assembly.contact_gap:g} mm"
+            more = f" with {self.amount:.0f} more that it touches" if self.amount else ""
+            return f"{name} floats{more}: nothing else is within {1e3 * assembly.contact_gap:g} mm"
         if self.cause == "joint":
             needed = f"it would have to hold {self.amount:.3g} N at each point and holds {self.limit:.3g} N"
             return f"{name} comes off {other}: {needed} (joint {self.joint!r})"
         if self.cause == "slides":
             return f"{name} slides off {other}: friction of {self.amount:.2f} would hold it, {self.limit:g} is there"
+        if self.cause == "drops":
+            return f"{name} drops: nothing that it touches is below it"
         if self.cause == "rests":
             return f"{name} rests on {other}, which falls"
         away = f"its centre of mass lies {1e3 * self.amount:.1f} mm beyond it" if self.amount > 0 else "its load is off"
-        return f"{name} tips over {other}: {away}" if other else f"{name} tips: nothing below it holds its weight"
+        return f"{name} tips over {other}: {away}"
 
 
 def failures(stability: ContactStability, state: int, held: int | None = None) -> tuple[Failure, ...]:
@@ -81,7 +85,7 @@ def _of_group(
     touched = {part: members(stability.touching[part] & around) for part in fallen}
     anchored = any(standing[other] for part in members(group) for other in members(stability.touching[part] & around))
     if not anchored:
-        return {part: Failure(part, "floats", missing=1.0) for part in fallen}
+        return {part: Failure(part, "floats", amount=len(fallen) - 1, missing=1.0) for part in fallen}
     loose = members(group)
     by_joint = _weak_joint(stability, loose, standing)
     friction = None if by_joint else _lacking_friction(stability, loose, standing)
@@ -99,7 +103,8 @@ def _of_group(
             found[part] = Failure(part, "slides", held_by, "", friction, stability.assembly.friction, lack[part])
         else:
             other, away = _carrier(stability, part, touched[part])
-            found[part] = Failure(part, "tips", other, amount=max(away, 0.0), missing=lack[part])
+            cause: Cause = "drops" if other is None else "tips"
+            found[part] = Failure(part, cause, other, amount=max(away, 0.0), missing=lack[part])
     return found
 
 

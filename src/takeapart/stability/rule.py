@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from takeapart.model.assembly import Assembly
@@ -36,15 +37,20 @@ def require_standing(assembly: Assembly) -> ConnectorStability | ContactStabilit
         first = next((failure for failure in found if failure.cause != "rests"), found[0])
         more = f" (and {len(found) - 1} more fall{'s' if len(found) == 2 else ''})" if len(found) > 1 else ""
         raise InputError(
-            f"part {first.text(assembly)}{more}; {_remedy(assembly, first)}",
+            f"part {first.text(assembly)}{more}; {_remedy(assembly, found)}",
             f"{assembly.name}: parts",
         )
     return rule
 
 
-def _remedy(assembly: Assembly, failure: Failure) -> str:
-    if failure.cause in ("floats", "tips"):
+def _remedy(assembly: Assembly, found: Sequence[Failure]) -> str:
+    fewest, best = len(found), 0.0
+    if any(failure.cause in ("floats", "drops", "tips") for failure in found):
         for gap in WIDER_GAPS:
-            if gap > assembly.contact_gap and ContactStability(replace(assembly, contact_gap=gap)).floating() == ():
-                return f"everything stands with a contact gap of {1e3 * gap:g} mm"
-    return "it must be carried, fastened by a joint, or fixed"
+            if gap > assembly.contact_gap and fewest:
+                falling = len(ContactStability(replace(assembly, contact_gap=gap)).floating())
+                fewest, best = (falling, gap) if falling < fewest else (fewest, best)
+    if not best:
+        return "it must be carried, fastened by a joint, or fixed"
+    effect = f"{fewest} {'falls' if fewest == 1 else 'fall'}" if fewest else "everything stands"
+    return f"with a contact gap of {1e3 * best:g} mm {effect}"
