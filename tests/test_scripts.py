@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import brick_verdicts
 import growth
 from takeapart.formats.documents import readable_json, write_atomically
 
@@ -22,6 +23,7 @@ BENCHMARKS = ROOT / "benchmarks"
 SMALL: dict[str, tuple[str, str]] = {
     "animation": ("--frames 2", "benchmarks.md --document"),
     "arm_speed": ("--workcells panda ur5e --assemblies 1 --queries 2", ""),
+    "brick_verdicts": ("--models external_weight_good", "benchmarks.md --document"),
     "clearance_cost": ("--assemblies single/01 --processes 1", "verification.md --document"),
     "closing": ("--count 1", "benchmarks.md --document"),
     "growth": ("--seconds 2 --parts 21 --out {folder}/growth", "benchmarks.md --document"),
@@ -80,6 +82,8 @@ def test_script_runs_in_small(name: str, tmp_path: Path, request: pytest.Fixture
     options, document = SMALL[name]
     if name in ("teachers", "guide_speed"):
         pytest.importorskip("torch", reason="the scripts of the guide need the extra takeapart[guide]")
+    if name == "brick_verdicts" and not brick_verdicts.CASES.is_dir():
+        pytest.skip(f"the models of bricks are not at {brick_verdicts.CASES}")
     if name in ("verify_all", "clearance_cost"):
         pytest.importorskip("mujoco", reason="verification needs MuJoCo")
     places = {"folder": str(tmp_path), "vanilla": ""}
