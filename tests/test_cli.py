@@ -75,7 +75,7 @@ def truncated(folder: Path) -> None:
 
 
 def wrong_version(folder: Path) -> None:
-    edited(folder / "two-bars.json", '"version": 1', '"version": 2')
+    edited(folder / "two-bars.json", '"version": 1', '"version": 3')
 
 
 def floating_part(folder: Path) -> None:
@@ -113,7 +113,7 @@ def no_workcell(folder: Path) -> None:
     [
         (empty, "two-bars.json: the file is empty"),
         (truncated, "two-bars.json: not valid JSON: it ends too early"),
-        (wrong_version, "two-bars.json: version: version 2; this release reads version 1"),
+        (wrong_version, "two-bars.json: version: version 3; this release reads version 1 and 2"),
         (floating_part, "floating: parts: part 'stub' floats: nothing carries it"),
         (overlapping_parts, "two-bars.json: parts: parts 'beam' and 'stub' overlap by 4.50 mm"),
         (no_file, "two-bars.json: there is no such file"),

@@ -32,6 +32,7 @@ formats.messages
 formats.bound_texts
 formats.schemas
 formats.documents
+formats.mesh_files
 formats.shipped
 formats.robot_schemas
 formats.robot_files
@@ -79,6 +80,7 @@ CONFINED = {
     "ssik": ("robot.ik_solver",),
     "pydantic": ("formats.schemas", "formats.robot_schemas"),
     "pydantic_core": ("formats.schemas", "formats.robot_schemas", "formats.messages"),
+    "cascadio": ("formats.importing",),
     "sqlite3": ("planning.run_journal",),
     "click": ("cli",),
     "rich": ("cli",),

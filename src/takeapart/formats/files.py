@@ -4,19 +4,33 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from takeapart.formats.documents import read_json, read_toml, readable_json, write_atomically
+from takeapart.formats.mesh_files import load_meshes, save_meshes
 from takeapart.formats.messages import shortened, shown
 from takeapart.formats.robot_files import load_robot_description
-from takeapart.formats.schemas import AssemblyModel, BoxModel, PlanModel, PoseModel, StepModel, WorkcellModel, validated
+from takeapart.formats.schemas import (
+    AssemblyModel,
+    BoxModel,
+    BoxShapeModel,
+    JointModel,
+    MeshShapeModel,
+    PlanModel,
+    PoseModel,
+    StepModel,
+    WorkcellModel,
+    validated,
+)
 from takeapart.formats.serialization import assembly_document, assembly_hash, plan_document, workcell_hash
 from takeapart.formats.shipped import data_path
-from takeapart.model.assembly import Assembly, Connector, Part
+from takeapart.model.assembly import CONTACT_GAP, FRICTION, Assembly, Connector, Joint, Part
 from takeapart.model.errors import InputError, UnknownNameError
-from takeapart.model.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.geometry import Array, Box, OrientedBox, Shape, pose
+from takeapart.model.meshes import Mesh
 from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.workcell import Obstacle, Workcell
 
@@ -41,7 +55,7 @@ PathLike = str | os.PathLike[str]
 
 
 def load_assembly(path: PathLike) -> Assembly:
-    """The assembly in a JSON file.
+    """The assembly in a JSON file, with the meshes that it names.
 
     Raises:
         InputError: one line that names the file, the place inside it, the value, and what is valid.
@@ -51,11 +65,17 @@ def load_assembly(path: PathLike) -> Assembly:
     walls = sum(len(connector.walls) for connector in model.connectors)
     if walls > MAXIMUM_WALLS:
         raise InputError(f"{walls} walls in all; at most {MAXIMUM_WALLS} are allowed", f"{where}: connectors")
+    named = [
+        (part.shape.file, part.shape.hash, f"{where}: parts[{i}].shape.file")
+        for i, part in enumerate(model.parts)
+        if part.shape.kind == "mesh"
+    ]
+    meshes = load_meshes(named, Path(path).parent)
     try:
         return Assembly(
             name=model.name,
             parts=tuple(
-                Part(part.name, Box(_triple(part.shape.size)), _pose(part.pose), part.mass, part.fixed)
+                Part(part.name, _shape(part.shape, meshes), _pose(part.pose), part.mass, part.fixed)
                 for part in model.parts
             ),
             connectors=tuple(
@@ -64,19 +84,27 @@ def load_assembly(path: PathLike) -> Assembly:
             ),
             witness=tuple(model.witness),
             provenance=dict(model.provenance),
+            joints=tuple(_joint(joint) for joint in model.joints or ()),
+            friction=FRICTION if model.friction is None else model.friction,
+            contact_gap=CONTACT_GAP if model.contact_gap is None else model.contact_gap,
+            allowed_overlaps=tuple((first, second) for first, second in model.allowed_overlaps or ()),
         )
     except InputError as error:
         raise InputError(error.message, _inside(where, model.name, error)) from None
 
 
 def save_assembly(assembly: Assembly, path: PathLike) -> None:
-    """Write an assembly file, atomically.
+    """Write an assembly file, atomically, and before it the meshes of its parts below its folder.
+
+    A mesh file that holds something else is never overwritten: until the new assembly file is there, the old one with
+    its meshes is.
 
     Raises:
         InputError: the file cannot be written, or the assembly breaks the limits of the format.
     """
     document = assembly_document(assembly)
     validated(AssemblyModel, document, shown(path))
+    save_meshes(assembly, Path(os.path.realpath(path)).parent)
     write_atomically(path, readable_json(document))
 
 
@@ -171,6 +199,24 @@ def _nameable(name: str) -> str:
 def _stated(value: float | None) -> float:
     """A number as the data class takes it; not a number where the file leaves it to the robot's description."""
     return math.nan if value is None else value
+
+
+def _shape(model: BoxShapeModel | MeshShapeModel, meshes: Mapping[str, Mesh]) -> Shape:
+    return Box(_triple(model.size)) if model.kind == "box" else meshes[model.hash]
+
+
+def _joint(model: JointModel) -> Joint:
+    return Joint(
+        name=model.name,
+        kind=model.kind,
+        first=model.first,
+        second=model.second,
+        points=np.array(model.points, dtype=float),
+        axis=np.array(model.axis, dtype=float),
+        strength=model.strength,
+        release=model.release,
+        pitch=model.pitch,
+    )
 
 
 def _triple(values: list[float]) -> tuple[float, float, float]:

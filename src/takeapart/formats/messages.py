@@ -77,6 +77,10 @@ def sentence(error: ErrorDetails) -> str:
     if kind == "string_pattern_mismatch":
         valid = "64 digits of a SHA-256" if "a-f" in context["pattern"] else "1 to 64 letters, digits, '.', '_' or '-'"
         return f"{shortened(value)}; must be {valid}"
+    if kind == "union_tag_not_found":
+        return "is missing"
+    if kind == "union_tag_invalid":
+        return f"{shortened(value.get('kind'))}; must be {context['expected_tags'].replace(', ', ' or ')}"
     valid = _VALID[kind].format(**context) if kind in _VALID else error["msg"]
     return valid if kind in ("missing", "too_short", "unknown_key", "rows") else f"{shortened(value)}; {valid}"
 

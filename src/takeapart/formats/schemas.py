@@ -7,7 +7,7 @@ hosts, the witness) is checked by the data classes themselves. docs/file-formats
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -16,11 +16,17 @@ from takeapart.formats.messages import kind_of, place, sentence, shortened
 from takeapart.model.assembly import LONGEST_EDGE, MAXIMUM_PARTS, NAME_PATTERN, SHORTEST_EDGE
 from takeapart.model.errors import InputError
 
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
 MAXIMUM_CONNECTORS = 5000
 MAXIMUM_WALLS = 64  # of one connector
 MAXIMUM_OBSTACLES = 256
 MAXIMUM_ROWS = 100_000  # of one path
 MAXIMUM_JOINTS = 16
+MAXIMUM_FASTENED = 10_000  # joints between parts
+MAXIMUM_POINTS = 1000  # of one such joint
+MAXIMUM_OVERLAPS = 10_000
 MAXIMUM_TEXT = 4096
 MAXIMUM_FREE_DEPTH = 8  # of values whose form is free (provenance, search)
 MAXIMUM_FREE_VALUES = 20_000
@@ -66,6 +72,8 @@ Position = Annotated[list[Coordinate], Field(min_length=3, max_length=3, fail_fa
 Size = Annotated[list[Edge], Field(min_length=3, max_length=3, fail_fast=True)]
 Quaternion = Annotated[list[Finite], Field(min_length=4, max_length=4, fail_fast=True), AfterValidator(_unit)]
 Name = Annotated[str, Field(max_length=64, pattern=f"^{NAME_PATTERN.pattern}$")]
+Pair = Annotated[list[Name], Field(min_length=2, max_length=2, fail_fast=True)]
+Force = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 Text = Annotated[str, Field(max_length=MAXIMUM_TEXT)]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
@@ -100,18 +108,29 @@ class BoxModel(PoseModel):
     size: Size
 
 
-class ShapeModel(_Model):
-    """The shape of a part, in its frame."""
+class BoxShapeModel(_Model):
+    """The shape of a part: a box around the origin of its frame."""
 
     kind: Literal["box"]
     size: Size
+
+
+class MeshShapeModel(_Model):
+    """The shape of a part: the surface in a file, in the part's frame; version 2."""
+
+    kind: Literal["mesh"]
+    file: Annotated[str, Field(min_length=1, max_length=256)]
+    hash: Hash
+
+
+SHAPES = ("box", "mesh")
 
 
 class PartModel(_Model):
     """`takeapart.model.assembly.Part`."""
 
     name: Name
-    shape: ShapeModel
+    shape: Annotated[BoxShapeModel | MeshShapeModel, Field(discriminator="kind")]
     pose: PoseModel
     mass: Annotated[float, Field(gt=0, le=1e5, allow_inf_nan=False)]
     fixed: bool = False
@@ -127,16 +146,45 @@ class ConnectorModel(_Model):
     walls: Annotated[list[BoxModel], Field(min_length=1, max_length=MAXIMUM_WALLS, fail_fast=True)]
 
 
+class JointModel(_Model):
+    """`takeapart.model.assembly.Joint`."""
+
+    name: Name
+    kind: Literal["clutch", "snap", "screw", "glue"]
+    first: Name
+    second: Name
+    points: Annotated[list[Position], Field(min_length=1, max_length=MAXIMUM_POINTS, fail_fast=True)]
+    axis: Annotated[list[Finite], Field(min_length=3, max_length=3, fail_fast=True)]
+    strength: Force
+    release: Force = 0.0
+    pitch: Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)] = 0.0
+
+
 class AssemblyModel(_Model):
-    """Assembly file."""
+    """Assembly file; version 1 knows boxes and connectors alone."""
 
     format: Literal["takeapart/assembly"]
-    version: Literal[1]
+    version: Literal[1, 2]
     name: Name
     parts: Annotated[list[PartModel], Field(min_length=1, max_length=MAXIMUM_PARTS, fail_fast=True)]
     connectors: Annotated[list[ConnectorModel], Field(max_length=MAXIMUM_CONNECTORS, fail_fast=True)] = []
+    joints: Annotated[list[JointModel], Field(max_length=MAXIMUM_FASTENED, fail_fast=True)] | None = None
+    friction: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] | None = None
+    contact_gap: Annotated[float, Field(ge=0, le=0.01, allow_inf_nan=False)] | None = None
+    allowed_overlaps: Annotated[list[Pair], Field(max_length=MAXIMUM_OVERLAPS, fail_fast=True)] | None = None
     witness: Annotated[list[Name], Field(max_length=MAXIMUM_PARTS, fail_fast=True)] = []
     provenance: Free = {}
+
+    @model_validator(mode="after")
+    def _version_of_keys(self) -> AssemblyModel:
+        if self.version == 1:
+            keys = ("joints", "friction", "contact_gap", "allowed_overlaps")
+            newer = [f"key {key!r}" for key in keys if getattr(self, key) is not None]
+            newer += [f"mesh, of part {part.name!r}" for part in self.parts if part.shape.kind == "mesh"]
+            if newer:
+                text = f"there is a {newer[0]}; version 1 has none, version 2 has"
+                raise PydanticCustomError("version", "{text}", {"text": text})
+        return self
 
 
 class GraspModel(_Model):
@@ -299,8 +347,17 @@ def validated(model: type[Model], data: object, where: str) -> Model:
         return model.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-    inside = place(first["loc"])
+    inside = place(_without_kinds(first))
     raise InputError(sentence(first), f"{where}: {inside}" if inside else where)
+
+
+def _without_kinds(error: ErrorDetails) -> tuple[int | str, ...]:
+    """Where it stands in the file: pydantic names the kind of a shape as if it were a step on the way to it."""
+    steps: list[int | str] = []
+    for step in error["loc"]:
+        if not (steps and steps[-1] == "shape" and step in SHAPES):
+            steps.append(step)
+    return (*steps, "kind") if error["type"].startswith("union_tag") else tuple(steps)
 
 
 def _check_heading(model: type[_Model], data: object, where: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -15,10 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from takeapart.formats.documents import canonical_json, read_bytes
-from takeapart.model.assembly import Assembly
+from takeapart.formats.mesh_files import mesh_files
+from takeapart.model.assembly import CONTACT_GAP, FRICTION, Assembly
 from takeapart.model.description import ArmDescription, GripperDescription, RobotDescription
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, OrientedBox, Shape, pose, quaternion_from_rotation
+from takeapart.model.meshes import Mesh
 from takeapart.model.plan import Plan
 from takeapart.workcell import Workcell
 
@@ -29,8 +32,13 @@ Document = dict[str, Any]
 
 
 def assembly_hash(assembly: Assembly) -> str:
-    """SHA-256 of all that matters for planning: name, parts, connectors; not witness and provenance."""
+    """SHA-256 of all that matters for planning: name, parts, connectors, joints; not witness and provenance.
+
+    Of meshes the content counts, not the files.
+    """
     document = assembly_document(assembly)
+    for part in document["parts"]:
+        part["shape"].pop("file", None)
     return _hash({key: value for key, value in document.items() if key not in ("witness", "provenance")})
 
 
@@ -133,22 +141,26 @@ def _box_document(box: OrientedBox) -> Document:
     return {"size": _numbers(2 * box.half_extents), **_pose_document(box.T_frame_box)}
 
 
-def _shape_document(shape: Shape, where: str) -> Document:
-    if not isinstance(shape, Box):
-        raise InputError(f"a shape of type {type(shape).__name__} has no file format yet; valid: Box", where)
-    return {"kind": "box", "size": _numbers(shape.size)}
+def _shape_document(shape: Shape, files: Mapping[str, str], where: str) -> Document:
+    if isinstance(shape, Box):
+        return {"kind": "box", "size": _numbers(shape.size)}
+    if isinstance(shape, Mesh):
+        return {"kind": "mesh", "file": files[shape.hash], "hash": shape.hash}
+    raise InputError(f"a shape of type {type(shape).__name__} has no file format; valid: Box, Mesh", where)
 
 
 def assembly_document(assembly: Assembly) -> Document:
-    """The assembly as its file holds it."""
+    """The assembly as its file holds it: of version 1 where boxes and connectors are all there is."""
+    contacts = _contacts_document(assembly)
+    files = mesh_files(assembly)
     return {
         "format": "takeapart/assembly",
-        "version": 1,
+        "version": 2 if contacts or files else 1,
         "name": assembly.name,
         "parts": [
             {
                 "name": part.name,
-                "shape": _shape_document(part.shape, f"{assembly.name}: parts[{i}].shape"),
+                "shape": _shape_document(part.shape, files, f"{assembly.name}: parts[{i}].shape"),
                 "pose": _pose_document(part.T_world_part),
                 "mass": _number(part.mass),
                 "fixed": bool(part.fixed),
@@ -165,9 +177,37 @@ def assembly_document(assembly: Assembly) -> Document:
             }
             for connector in assembly.connectors
         ],
+        **contacts,
         "witness": list(assembly.witness),
         "provenance": _plain(assembly.provenance),
     }
+
+
+def _contacts_document(assembly: Assembly) -> Document:
+    """What is said of joints and contacts; nothing where all is as it is without a word."""
+    document: Document = {}
+    if assembly.joints:
+        document["joints"] = [
+            {
+                "name": joint.name,
+                "kind": joint.kind,
+                "first": joint.first,
+                "second": joint.second,
+                "points": _numbers(joint.points),
+                "axis": _numbers(joint.axis),
+                "strength": _number(joint.strength),
+                "release": _number(joint.release),
+                "pitch": _number(joint.pitch),
+            }
+            for joint in assembly.joints
+        ]
+    if assembly.friction != FRICTION:
+        document["friction"] = _number(assembly.friction)
+    if assembly.contact_gap != CONTACT_GAP:
+        document["contact_gap"] = _number(assembly.contact_gap)
+    if assembly.allowed_overlaps:
+        document["allowed_overlaps"] = [list(pair) for pair in assembly.allowed_overlaps]
+    return document
 
 
 def plan_document(plan: Plan) -> Document:
