@@ -16,7 +16,7 @@ from conftest import random_box, random_rotation
 from takeapart.formats.bound_texts import SEQUENCE, STRAIGHT_LINE
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.model.geometry import BOX_TRIANGLES, Array, OrientedBox, TriangleMesh, pose
 from takeapart.model.plan import Plan
 from takeapart.removal.grasps import grasp_candidates, straight_line_bounds, volume_bound
 from takeapart.verification.checks import straight_line_bound
@@ -38,6 +38,16 @@ class Pieces:
         corners = np.vstack([box.corners() for box in self.pieces])
         low, high = corners.min(axis=0), corners.max(axis=0)
         return OrientedBox(pose((low + high) / 2), (high - low) / 2)
+
+    def surface(self) -> TriangleMesh:
+        surfaces = [TriangleMesh(box.corners(), BOX_TRIANGLES + np.int32(8 * i)) for i, box in enumerate(self.pieces)]
+        return TriangleMesh(
+            np.vstack([each.vertices for each in surfaces]), np.vstack([each.triangles for each in surfaces])
+        )
+
+    def center_of_mass(self) -> Array:
+        weights = np.array([np.prod(box.half_extents) for box in self.pieces])
+        return np.asarray(weights @ [box.T_frame_box[:3, 3] for box in self.pieces] / weights.sum())
 
     def volume(self) -> float:
         return float(sum(8 * np.prod(box.half_extents) for box in self.pieces))

@@ -26,8 +26,8 @@ class Mesh:
     """A shape given by its surface, in the part's frame.
 
     Args:
-        triangle_mesh: the surface; it should be closed. What is open is marked (`is_closed`), and who needs a closed one
-            says so.
+        triangle_mesh: the surface; it should be closed. What is open is marked (`is_closed`), and who needs a closed
+            one says so.
 
     Raises:
         InputError: numbers that are not finite, corners that do not exist, no triangles, too many, or no extent.

@@ -1,4 +1,4 @@
-"""An exit as a motion that a tool can follow at constant grasp: poses of the world by which everything held is moved."""
+"""An exit as a motion that a tool follows at constant grasp: how the world's frame moves for what is held."""
 
 from __future__ import annotations
 

@@ -124,8 +124,8 @@ class RemovalPlanner:
         return bool(self.reach.candidates(part))
 
     def freedom(self, part: int) -> tuple[int, ...]:
-        """States of the parts that the exits of a part would hit: it may leave where any of them is gone; empty where no
-        exit passes what never leaves, or no gripper of this cell holds the part."""
+        """States of the parts that the exits of a part would hit: it may leave where all of one of them are gone. Empty
+        where no exit passes what never leaves, or no gripper of this cell holds the part."""
         if not self.is_graspable(part):
             return ()
         masks = (way.blockers for way in self.exits.exits(part))

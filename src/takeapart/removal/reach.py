@@ -219,8 +219,8 @@ class Reach:
         return self._solutions[key]
 
     def _lengths(self, part: int, way: Exit) -> tuple[Array, Array, Array]:
-        """With an exit, for each grasp candidate: where it takes the tool (K, 3), m; the length (K,), m, of the tool path
-        on it; and with the straight line from there to the goal, m (Eq. 1)."""
+        """With an exit, for each grasp candidate: where it takes the tool (K, 3), m; the length of the tool path on it
+        (K,), m; and that with the straight line from there to the goal (K,), m (Eq. 1)."""
         body = self._assembly.parts[part]
         poses = np.array([grasp.T_part_tool for grasp in self.candidates(part)]).reshape(-1, 4, 4)
         starts = poses[:, :, 3] @ body.T_world_part[:3].T
