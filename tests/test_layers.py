@@ -22,6 +22,8 @@ caching
 compilation
 states
 model.geometry
+model.bounding
+model.voxels
 model.covering
 model.meshes
 model.assembly

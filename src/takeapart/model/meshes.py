@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.model.covering import box_cover, tight_box
+from takeapart.model.bounding import tight_box
+from takeapart.model.covering import box_cover
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, TriangleMesh
 
@@ -26,8 +27,8 @@ class Mesh:
     """A shape given by its surface, in the part's frame.
 
     Args:
-        triangle_mesh: the surface; it should be closed. What is open is marked (`is_closed`), and who needs a closed one
-            says so.
+        triangle_mesh: the surface; it should be closed. What is open is marked (`is_closed`), and who needs a closed
+            one says so.
 
     Raises:
         InputError: numbers that are not finite, corners that do not exist, no triangles, too many, or no extent.
@@ -78,7 +79,7 @@ class Mesh:
 
     @cached_property
     def _bounding_box(self) -> OrientedBox:
-        return tight_box(self.triangle_mesh.vertices)
+        return tight_box(self.triangle_mesh)
 
     def bounding_box(self) -> OrientedBox:
         return self._bounding_box
