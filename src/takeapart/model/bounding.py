@@ -47,6 +47,16 @@ def tight_box(mesh: TriangleMesh) -> OrientedBox:
     return _box(points, _named(frames[chosen]))
 
 
+def flat_directions(mesh: TriangleMesh) -> tuple[Array, Array]:
+    """Normals (D, 3) of the largest flat faces, either way, and their areas (D,), m^2, the largest first."""
+    normals = np.cross(mesh.corners[:, 1] - mesh.corners[:, 0], mesh.corners[:, 2] - mesh.corners[:, 0])
+    doubled = np.linalg.norm(normals, axis=1)
+    used = doubled > 0
+    normals, areas = _merged(normals[used] / doubled[used, None], doubled[used] / 2)
+    found = _directions(normals, areas)
+    return found, (np.abs(found @ normals.T) > SAME_DIRECTION) @ areas
+
+
 def _hull(points: Array) -> tuple[Array, Array]:
     """Corners (H, 3) of the convex hull and the normals (F, 3) of its facets; all points where they lie in a plane."""
     from scipy.spatial import ConvexHull, QhullError

@@ -17,7 +17,7 @@ from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
-from takeapart.removal.grasps import GraspCandidate, shortest_first, straight_line_bounds, tied
+from takeapart.removal.grasps import GraspCandidate, is_box, shortest_first, straight_line_bounds, tied
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.hand import hand_masks
 from takeapart.robot.ik import Solver
@@ -38,14 +38,15 @@ class Hand:
         bound: straight up and straight to the goal, m; no removal with this grasp is shorter.
         lifted: (3,) m, the tool's position after the lift.
         place: the number of that position: grasps of one part that lift the tool to the same place have the same.
-        radius: of a ball around the tool that is always inside the held part, m.
+        radius: of a ball around the tool that is always inside the held part, m; 0 where the part is no box.
         load: fingers, and the part with its own frame for the tool's.
         T_tool_part: (4, 4).
         steepness: vertical part of the approach direction, -1 from above: those grasps are the likeliest to be reached.
         kind: grasps of one kind have the same approach direction and stand within 6 cm.
         partner: number of the grasp at the same place with the fingers exchanged.
         blockers: parts that hand or lifted part would hit; None if it would hit the part itself or what never leaves.
-        line: parts that the ball would hit on the straight line to the goal; None for what never leaves.
+        line: parts that the ball would hit on the straight line to the goal; None for what never leaves. Nothing is
+            known of it where the part is no box: the tool may stand in a hole of it.
     """
 
     candidate: GraspCandidate
@@ -222,7 +223,8 @@ class Reach:
         starts = np.ascontiguousarray(body.T_world_part @ poses)
         inverses = np.ascontiguousarray(np.linalg.inv(poses))
         bounds = tied(straight_line_bounds(body, candidates, self._lift, self._workcell.goal))
-        radius = float(body.shape.bounding_box().half_extents.min())
+        gripped_inside = is_box(body.shape)
+        radius = float(body.shape.bounding_box().half_extents.min()) if gripped_inside else 0.0
         everything = flags_of(self._assembly.root & ~(1 << part), parts)
         hits = np.zeros((len(candidates), parts + 1), dtype=np.uint8)
         lines = np.zeros_like(hits)
@@ -250,6 +252,8 @@ class Reach:
             )
             hits[chosen], lines[chosen] = some_hits, some_lines
         lines[:, part] = 0
+        if not gripped_inside:
+            lines[:] = 0
         lifted = starts[:, :3, 3] + [0.0, 0.0, self._lift]
         places = np.unique(np.round(lifted, 6), axis=0, return_inverse=True)[1].ravel().tolist()
         same_place = np.abs(np.diff(poses[:, :3, 2:], axis=0)).max(axis=(1, 2)) < 1e-9
