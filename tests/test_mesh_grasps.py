@@ -12,7 +12,7 @@ import trimesh
 from trimesh.path.polygons import Polygon
 
 from takeapart.formats.files import data_path, load_workcell
-from takeapart.model.assembly import Part
+from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Array, Box, OrientedBox, TriangleMesh, pose, pose_inverse
 from takeapart.model.meshes import Mesh
 from takeapart.removal.grasps import (
@@ -25,7 +25,11 @@ from takeapart.removal.grasps import (
     volume_bound,
 )
 from takeapart.removal.mesh_grasps import GIVES_WAY, LEAST_CONTACT
+from takeapart.removal.planner import RemovalOptions, RemovalPlanner
+from takeapart.removal.reasons import Reason, Reasons
+from takeapart.removal.result import Blocked
 from takeapart.robot.gripper import gripper_boxes
+from takeapart.robot.model import RobotModel
 from takeapart.workcell import Workcell
 
 PAD = (0.0088, 0.009)  # m, half of the Panda's pads along x and z, as its own mesh has them
@@ -177,6 +181,25 @@ def test_why_a_part_cannot_be_gripped() -> None:
     assert 0 < found_on_mesh(bead, cell()).contact < LEAST_CONTACT
     heavy = part_of(cylinder(), mass=50)
     assert ungraspable(heavy, cell()) == "weight"
+
+
+def test_the_reason_says_how_much_is_missing(robot: RobotModel) -> None:
+    def reason(body: trimesh.Trimesh) -> Reason:
+        part = part_of(body, pose((0.0, 0.0, 0.3)))
+        planner = RemovalPlanner(Assembly("one", (part,)), cell(), RemovalOptions(), robot)
+        answer = planner.plan(0, 1, rng=np.random.default_rng(0))
+        assert isinstance(answer, Blocked) and answer.stage == "grasp"
+        return Reasons(planner).of(answer, 1)
+
+    wide = reason(profile((0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.194), (0, 0.194), height=0.15))
+    assert wide.cause == "width" and dict(wide.numbers)["width"] == pytest.approx(0.1, abs=1e-9)
+    assert "100 mm" in wide.text and "80 mm" in wide.text
+    small = reason(trimesh.creation.icosphere(3, 0.0015))
+    assert small.cause == "contact" and 0 < dict(small.numbers)["contact"] < dict(small.numbers)["least_contact"]
+    assert "mm² of at least 20 mm²" in small.text
+    thick = trimesh.creation.box((0.3, 0.3, 0.3)).difference(trimesh.creation.box((0.2, 0.2, 0.2)))
+    shell = reason(thick)  # 50 mm thick: one finger would have to be in the hollow, which is closed
+    assert shell.cause == "fingers" and "reach into it" in shell.text
 
 
 @pytest.mark.parametrize("sections", [24, 100])

@@ -15,7 +15,7 @@ SAME_DIRECTION = 0.9999  # cosine; normals closer than 0.8 degrees are one
 MOST_COMPARED = 64  # boxes whose faces are compared
 AS_SMALL = 1.02  # boxes larger by less compete by the area along their faces
 ALONG_FACE = 0.9998  # cosine of the angle between a normal and the face that it belongs to
-SAME_SHARE = 0.01  # of the area; the part's own axes win unless others have more
+SAME_SHARE = 0.03  # of the area; the part's own axes win unless others have more
 EXACT_AXES = 1e-6  # axes as close as this to the part's own are the part's own
 
 
@@ -38,8 +38,10 @@ def tight_box(mesh: TriangleMesh) -> OrientedBox:
     frames = _frames(_directions(normals, areas), inertia)
     spans = np.ptp((_extreme(hull) @ frames.transpose(1, 0, 2).reshape(3, -1)), axis=0).reshape(-1, 3)  # (F, 3) m
     volumes = np.maximum(spans, 1e-6 * spans.max()).prod(axis=1)
-    small = np.argsort(volumes, kind="stable")[:MOST_COMPARED]
-    small = np.sort(small[volumes[small] <= AS_SMALL * volumes.min()])  # the part's own axes first
+    small = np.append(
+        0, np.argsort(volumes[1:], kind="stable")[:MOST_COMPARED] + 1
+    )  # the part's own axes are the first
+    small = np.sort(small[volumes[small] <= AS_SMALL * volumes.min()])
     along = np.abs(normals @ frames[small]).max(axis=2) > ALONG_FACE  # (S, N)
     shares = along @ areas / areas.sum()
     tied = small[shares > shares.max() - SAME_SHARE]

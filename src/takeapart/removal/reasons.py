@@ -259,7 +259,7 @@ def _no_pinch(cause: Unholdable | None, found: MeshGrasps, opening: float) -> Re
         return Reason("grasp", "width", text, (("width", found.narrowest), *numbers[:1]))
     if cause == "contact":
         text = (
-            f"no two opposite surfaces touch enough of the fingers' pads: at most {1e6 * found.contact:.3g} mm² each, "
+            f"no two opposite surfaces touch enough of the fingers' pads: each touches {1e6 * found.contact:.3g} mm² "
             f"of at least {1e6 * LEAST_CONTACT:.3g} mm²"
         )
         return Reason("grasp", "contact", text, numbers)
