@@ -24,6 +24,7 @@ states
 model.geometry
 model.bounding
 model.voxels
+model.revolving
 model.covering
 model.meshes
 model.assembly

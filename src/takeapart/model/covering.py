@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 from takeapart.caching import cache_folder
 from takeapart.model.bounding import tight_box
 from takeapart.model.geometry import Array, OrientedBox, TriangleMesh
+from takeapart.model.revolving import revolved_cover
 from takeapart.model.voxels import VoxelGrid, voxel_grid
 
-VERSION = 2  # of what is kept; grows with every change of the boxes
+VERSION = 3  # of what is kept; grows with every change of the boxes
 WANTED_ERROR, WANTED_SHARE = 0.002, 0.015  # m, or of the longest edge if that is more
 MOST_BOXES, MOST_CLOSE_BOXES, MANY_BOXES = 96, 48, 24
 CELLS = 320_000  # of a grid, about
 CELLS_ALONG_ERROR = 3.5  # cells are no finer than that
+ROUND_SHARE = 0.4  # of the wanted error, by which boxes of round slices may stand out of them
 SEEDS = 420  # cells that boxes are grown from
 SAME_VOLUME = 1e-6  # relative; a mesh that fills its box as well is that box
 
@@ -91,13 +93,17 @@ def _found(mesh: TriangleMesh) -> BoxCover:
     cell = max(wanted / CELLS_ALONG_ERROR, float((thick.prod() / CELLS) ** (1 / 3)))
     cells = _Cover(voxel_grid(mesh, box, cell))
     near = max(wanted - cells.diagonal, cell)
-    found = cells.boxes(near, MOST_CLOSE_BOXES)
-    while not found:
+    while True:
+        turned = revolved_cover(mesh, cells.grid, cells.distances(near), near, ROUND_SHARE * max(near, wanted))
+        if turned is not None:
+            return BoxCover(turned[0], turned[1] + cells.uncertainty)
+        found = cells.boxes(near, MOST_CLOSE_BOXES if near < wanted else MOST_BOXES)
+        if found:
+            break
         near *= 1.25
         if near > CELLS_ALONG_ERROR * cell:
             cell = near / CELLS_ALONG_ERROR
             cells = _Cover(voxel_grid(mesh, box, cell))
-        found = cells.boxes(near, MOST_CLOSE_BOXES if near < wanted else MOST_BOXES)
     while len(found) <= MANY_BOXES and near:
         nearer = near / 2 if near / 2 >= cell else 0.0
         closer = cells.boxes(nearer, MANY_BOXES)
@@ -139,13 +145,23 @@ class _Cover:
         """Of the largest cell, m, at most."""
         return float(np.linalg.norm([np.diff(p).max() for p in self.grid.planes]))
 
-    def boxes(self, near: float, most: int) -> list[tuple[Integers, Integers]]:
-        """Boxes that hold all filled cells and none farther than `near`, m, from those; none where that takes more than
-        `most`."""
+    @property
+    def uncertainty(self) -> float:
+        """How much farther than a cell from a filled one a point may be from the body, m: one cell's diagonal where the
+        surface passes a cell at its far corner, and one cell where it passes beside it."""
+        return self.diagonal + max(float(np.diff(p).max()) for p in self.grid.planes)
+
+    def distances(self, near: float) -> Array:
+        """(X, Y, Z) m from every cell to the nearest filled one, exact up to `near` at least."""
         if near >= self._known:
             self._known = 4 * near
             self._distances = _distances(self.grid, self._known)
-        bad = _integral((self._distances > near).astype(np.int32))
+        return self._distances
+
+    def boxes(self, near: float, most: int) -> list[tuple[Integers, Integers]]:
+        """Boxes that hold all filled cells and none farther than `near`, m, from those; none where that takes more than
+        `most`."""
+        bad = _integral((self.distances(near) > near).astype(np.int32))
         low, high = _grown(bad, self._seeds)
         left = np.where(self._filled, self._weights, 0.0)
         chosen: list[tuple[Integers, Integers]] = []
@@ -193,10 +209,8 @@ class _Cover:
         return kept[::-1]
 
     def error(self, boxes: list[tuple[Integers, Integers]]) -> float:
-        """Greatest distance of a point of the boxes from the body, m, at most: cells between, one cell's diagonal where
-        the surface passes a cell at its far corner, and one cell where it passes beside it."""
-        farthest = max(float(self._distances[_slices(low, high)].max()) for low, high in boxes)
-        return farthest + self.diagonal + max(float(np.diff(p).max()) for p in self.grid.planes)
+        """Greatest distance of a point of the boxes from the body, m, at most."""
+        return max(float(self._distances[_slices(low, high)].max()) for low, high in boxes) + self.uncertainty
 
 
 def _slices(low: Integers, high: Integers) -> tuple[slice, slice, slice]:
