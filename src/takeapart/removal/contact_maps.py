@@ -17,23 +17,14 @@ JITTER_U, JITTER_V = 0.0371, 0.0719  # of a pixel; rays through pixels avoid edg
 
 
 class ContactMap(NamedTuple):
-    """A body along a direction.
+    """A body along a direction."""
 
-    Args:
-        origin: (2,) m, of the first pixel's corner along e1 and e2.
-        pixel: its edge, m.
-        shape: (2,) pixels along e1 and e2.
-        starts: (pixels + 1,) where the crossings of a pixel begin, pixels along e2 fastest.
-        heights: (C,) m along d, ascending within a pixel.
-        cosines: (C,) of the outward normal with d: negative where a ray along d enters.
-    """
-
-    origin: Floats
-    pixel: float
-    shape: Integers
-    starts: Integers
-    heights: Floats
-    cosines: Floats
+    origin: Floats  # (2,) m, of the first pixel's corner along e1 and e2
+    pixel: float  # its edge, m
+    shape: Integers  # (2,) pixels along e1 and e2
+    starts: Integers  # (pixels + 1,) where the crossings of a pixel begin; pixels along e2 come first
+    heights: Floats  # (C,) m along d, ascending within a pixel
+    cosines: Floats  # (C,) of the outward normal with d: negative where a ray along d enters
 
 
 @compiled

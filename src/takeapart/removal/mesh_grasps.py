@@ -29,7 +29,8 @@ MOST_OVERHANG = 0.012  # m; the tool's point stands no farther outside of the pa
 TIP_MARGIN = 0.002  # m, by which the fingers' tips end before the part does, where they reach that far
 TURN = math.pi / 6  # between approach directions around a closing direction
 MOST_POSES = 60  # of a part; each in both finger orders
-EACH_TURN = ((0.7, 4), (-0.3, 2), (-math.inf, 1))  # from which steepness downwards how many poses of a kind are taken
+# From which steepness downwards: how many poses of a kind are taken at a time, and of all kinds while others are left.
+TURNS = ((0.7, 4, 30), (-0.3, 2, 22), (-math.inf, 1, 8))
 MOST_CONTACTS, LEAST_CONTACTS = 60, 4  # places whose approaches are looked at: in all; along a closing direction
 PLACES = 9  # of a direction, along the longer side of the map
 PIXELS = 100  # along the longest side of a map
@@ -281,16 +282,25 @@ def _spread_out(poses: Array, widths: Array, costs: Array, steep: Array) -> tupl
             away = np.linalg.norm(poses[members, :3, 3] - poses[members[0], :3, 3], axis=1)
             members = members[away >= SAME_PLACE]
         kinds.append(apart)
-    taken: list[int] = []
-    while any(kinds) and len(taken) < MOST_POSES:
-        for kind in kinds:
-            count = 0 if not kind else next(n for least, n in EACH_TURN if steep[kind[0]] >= least)
-            taken += kind[:count]
-            del kind[:count]
-    taken = sorted(taken[:MOST_POSES])
+    taken = _in_turns(kinds, [next(k for k, turn in enumerate(TURNS) if steep[kind[0]] >= turn[0]) for kind in kinds])
     candidates = []
     for T, width in zip(poses[taken], widths[taken].tolist(), strict=True):
         exchanged = T.copy()
         exchanged[:3, :2] *= -1
         candidates += [GraspCandidate(T.copy(), width), GraspCandidate(exchanged, width)]
     return tuple(candidates)
+
+
+def _in_turns(kinds: list[list[int]], steepness: list[int]) -> list[int]:
+    """Up to `MOST_POSES` members of kinds, ascending; from each kind as many at a time as its row of `TURNS` says."""
+    taken: list[int] = []
+    room = [most for _, _, most in TURNS]
+    while any(kinds) and len(taken) < MOST_POSES:
+        if not any(kind and room[row] for kind, row in zip(kinds, steepness, strict=True)):
+            room = [MOST_POSES] * len(TURNS)
+        for kind, row in zip(kinds, steepness, strict=True):
+            count = min(TURNS[row][1], room[row], len(kind), MOST_POSES - len(taken))
+            taken += kind[:count]
+            del kind[:count]
+            room[row] -= count
+    return sorted(taken)
