@@ -22,6 +22,9 @@ caching
 compilation
 states
 model.geometry
+model.bounding
+model.voxels
+model.revolving
 model.covering
 model.meshes
 model.assembly

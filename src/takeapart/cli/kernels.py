@@ -14,6 +14,7 @@ import numpy as np
 
 from takeapart.compilation import LeanKernel
 from takeapart.motion import blockers, edges, legs, lifts, rrt, scene, smooth
+from takeapart.removal import contact_maps
 from takeapart.robot import arrays, grid, hand, kernels, kinematics, self_collision, separation
 from takeapart.search import lattice, lattice_bounds
 
@@ -110,6 +111,13 @@ def units(orders: bool) -> dict[str, Unit]:
         (kinematics.wind_to_middle, (one, one, int32, two, flags)),
         (grid.grid_fill, (two, three, two, one, 0.0, int32, 0.0, int32, int32, True)),
         (grid.clearance_fields, (two, three, two, int32, one, 0.0, int32, 0.0, table)),
+    ]
+    view = example(contact_maps.ContactMap)
+    called += [  # of grasps on meshes
+        (contact_maps.touched_areas, (view, two, one, two, one, 0.0, 0.0)),
+        (contact_maps.crossings, (three, one, one, 0.0, int32)),
+        (contact_maps.pinches, (view, np.zeros((1, 1), np.int32), 0.0, 0)),
+        (contact_maps.lengths_along, (view, two, two, 0.0, 0.0)),
     ]
     of_orders = [
         (lattice._count_candidates, (bits, bits)),

@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from takeapart.model.covering import box_cover, tight_box
+from takeapart.model.bounding import tight_box
+from takeapart.model.covering import box_cover
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, TriangleMesh
 
@@ -78,7 +79,7 @@ class Mesh:
 
     @cached_property
     def _bounding_box(self) -> OrientedBox:
-        return tight_box(self.triangle_mesh.vertices)
+        return tight_box(self.triangle_mesh)
 
     def bounding_box(self) -> OrientedBox:
         return self._bounding_box

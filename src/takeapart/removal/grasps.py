@@ -1,12 +1,13 @@
-"""Where a part can be gripped: every 2 cm along all four sides of each long edge, from 3 cm off each end, both finger
-orders (Sec. VI).
+"""Where a part can be gripped.
+
+A box: every 2 cm along all four sides of each long edge, from 3 cm off each end, both finger orders (Sec. VI). Any
+other form: where two pads find opposite surfaces (`removal.mesh_grasps`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, cmp_to_key
 from itertools import product
 from typing import Literal
@@ -14,28 +15,20 @@ from typing import Literal
 import numpy as np
 
 from takeapart.model.assembly import Part
-from takeapart.model.geometry import Array, OrientedBox
+from takeapart.model.geometry import Array, OrientedBox, Shape
+from takeapart.model.meshes import Mesh
+from takeapart.removal.candidates import GraspCandidate as GraspCandidate
+from takeapart.removal.mesh_grasps import LEAST_CONTACT, MOST_OVERHANG, MeshGrasps, mesh_grasps
 from takeapart.workcell import Workcell
 
 SPACING = 0.02  # m, between grasps along the part
 END_MARGIN = 0.03  # m, from the part's ends
 SAME_EDGE = 1e-6  # m; a part shorter by less has as many grasps: lengths in 32-bit floats are off by up to 6e-8
 
-Unholdable = Literal["weight", "slip", "width"]
+BOX_VOLUME = 1e-6  # relative; a mesh that fills its box as well is a box
+
+Unholdable = Literal["weight", "slip", "width", "contact", "fingers"]
 _SignedAxis = tuple[int, int]  # number of a box's axis, and 1 or -1: the way along it
-
-
-@dataclass(frozen=True, eq=False)
-class GraspCandidate:
-    """A grasp in the part's frame.
-
-    Args:
-        T_part_tool: (4, 4) pose of the tool: z is the approach direction, y the closing direction of the fingers.
-        width: of the part between the fingers, m.
-    """
-
-    T_part_tool: Array
-    width: float
 
 
 def grasp_positions(length: float) -> Array:
@@ -91,14 +84,42 @@ def _first_difference(difference: Array) -> int:
     return next((1 if value > 0 else -1 for value in difference if abs(value) > SAME_EDGE), 1)
 
 
+def is_box(shape: Shape) -> bool:
+    """Whether a shape is gripped as a box: all but meshes, and meshes that fill their box."""
+    if not isinstance(shape, Mesh):
+        return True
+    volume = 8 * float(shape.bounding_box().half_extents.prod())
+    return len(shape.boxes()) == 1 and abs(volume - shape.volume()) <= BOX_VOLUME * volume
+
+
+def candidates_of(part: Part, workcell: Workcell) -> Sequence[GraspCandidate]:
+    """All grasps of a part of any shape with the fingers of a workcell, whatever it weighs."""
+    if is_box(part.shape):
+        return grasp_candidates(part, workcell.description.maximum_opening)
+    return found_on_mesh(part, workcell).candidates
+
+
+def found_on_mesh(part: Part, workcell: Workcell) -> MeshGrasps:
+    """Grasps of a part that is no box, and what is in the way of more."""
+    return mesh_grasps(part, workcell.description, workcell.friction)
+
+
 def ungraspable(part: Part, workcell: Workcell) -> Unholdable | None:
     """What keeps the gripper from holding a part, whatever stands around it: more weight than the payload, or than
-    friction holds, or more width than the fingers open; None if nothing does."""
+    friction holds, more width than the fingers open, too little surface for the pads, or fingers that reach into the
+    part wherever there is enough; None if nothing does."""
     if part.mass > workcell.payload:
         return "weight"
     if part.mass > workcell.grip:
         return "slip"
-    return None if grasp_candidates(part, workcell.description.maximum_opening) else "width"
+    if candidates_of(part, workcell):
+        return None
+    if is_box(part.shape):
+        return "width"
+    found = found_on_mesh(part, workcell)
+    if found.narrowest > workcell.description.maximum_opening:
+        return "width"
+    return "contact" if found.contact < LEAST_CONTACT else "fingers"
 
 
 @cache
@@ -121,7 +142,7 @@ def straight_line_bounds(part: Part, grasps: Sequence[GraspCandidate], lift_heig
 
 def shortest_first(part: Part, workcell: Workcell) -> tuple[GraspCandidate, ...]:
     """All grasps with which the gripper can hold a part, those with the shortest straight line first."""
-    found = [] if ungraspable(part, workcell) else grasp_candidates(part, workcell.description.maximum_opening)
+    found = [] if ungraspable(part, workcell) else candidates_of(part, workcell)
     lengths = tied(straight_line_bounds(part, found, workcell.lift_height, workcell.goal))
     return tuple(found[k] for k in np.argsort(lengths, kind="stable"))
 
@@ -140,11 +161,19 @@ def volume_bound(part: Part, lift_height: float, goal: Array) -> float:
     """Least length of a removal with a grasp anywhere in the part's volume, m: straight up, then straight to the goal
     (Eq. 1). Attained where nothing is in the way.
 
+    What is no box is gripped between its surfaces, and over its edges: there the volume is that of its bounding box,
+    larger by `MOST_OVERHANG` on all sides.
+
     Args:
         goal: (3,) m, in the world.
     """
+    boxes = part.boxes_in_world()
+    if not is_box(part.shape):
+        around = part.shape.bounding_box()
+        grown = OrientedBox(around.T_frame_box, around.half_extents + MOST_OVERHANG)
+        boxes = [grown.moved(part.T_world_part)]
     nearest = math.inf
-    for box in part.boxes_in_world():
+    for box in boxes:
         raised = box.T_frame_box.copy()
         raised[2, 3] += lift_height
         inside = np.clip((goal - raised[:3, 3]) @ raised[:3, :3], -box.half_extents, box.half_extents)

@@ -14,12 +14,12 @@ from functools import cached_property
 import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import Array, Box
+from takeapart.model.geometry import Array
 from takeapart.motion.lifts import complete_lifts, lift_ends
 from takeapart.motion.scene import Scene, new_scene
 from takeapart.removal.exits import Exit, ExitRule
 from takeapart.removal.following import end_of, lead_lengths, motion_of
-from takeapart.removal.grasps import GraspCandidate, shortest_first, tied
+from takeapart.removal.grasps import GraspCandidate, is_box, shortest_first, tied
 from takeapart.robot.arrays import Flags, HeldArrays, Workspace, WorldArrays
 from takeapart.robot.hand import hand_masks
 from takeapart.robot.ik import Solver
@@ -44,7 +44,8 @@ class Hand:
         bound: along the exit and straight to the goal, m; no removal with this grasp and this exit is shorter.
         lifted: (3,) m, the tool's position at the end of the exit.
         place: the number of that position: grasps of one part that take the tool to the same place have the same.
-        radius: of a ball around the tool that is always inside the held part, m.
+        radius: of a ball around the tool that is always inside the held part, m; where the part is no box, of the
+            thinnest thing between the pads.
         load: fingers, and the part with its own frame for the tool's.
         T_tool_part: (4, 4).
         steepness: vertical part of the approach direction, -1 from above: those grasps are the likeliest to be reached.
@@ -52,7 +53,8 @@ class Hand:
         partner: number of the grasp at the same place with the fingers exchanged.
         blockers: parts that the hand would hit at the start, or hand and part at the end of the exit; None if it would
             hit the part itself or what never leaves.
-        line: parts that the ball would hit on the straight line to the goal; None for what never leaves.
+        line: parts that the ball would hit on the straight line to the goal; None for what never leaves. Nothing is
+            known of it where the part is no box: the tool may stand in a hole of it.
     """
 
     candidate: GraspCandidate
@@ -336,6 +338,8 @@ class Reach:
             )
             hits[chosen], lines[chosen] = some_hits, some_lines
         lines[:, part] = 0
+        if not is_box(self._assembly.parts[part].shape):
+            lines[:] = 0
         return hits, lines
 
     def _scene(self, part: int, number: int, work: Workspace) -> Scene:
@@ -380,6 +384,6 @@ class Reach:
 def _inner_radius(body: Part) -> float:
     """Of a ball around the tool that is inside the held part wherever the fingers hold it, m: known of a box; in a mesh
     there may be nothing but the line between the pads."""
-    if isinstance(body.shape, Box):
+    if is_box(body.shape):
         return float(body.shape.bounding_box().half_extents.min())
     return THINNEST

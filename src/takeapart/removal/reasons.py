@@ -7,6 +7,7 @@ obstacles too are then named by the same masks.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Box, OrientedBox
-from takeapart.removal.grasps import ungraspable
+from takeapart.removal.grasps import LEAST_CONTACT, MeshGrasps, Unholdable, found_on_mesh, is_box, ungraspable
 from takeapart.removal.lifting import contact_height, lift_distance
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Stage
@@ -25,7 +26,7 @@ from takeapart.robot.extent import Extent, arm_extent
 from takeapart.states import members
 from takeapart.workcell import GRAVITY
 
-Cause = Literal["gravity", "lift", "weight", "slip", "width", "hand", "reach", "arm", "path"]
+Cause = Literal["gravity", "lift", "weight", "slip", "width", "contact", "fingers", "hand", "reach", "arm", "path"]
 ITSELF = "the part itself"
 AT_ONCE = 1e-5  # m; what is hit sooner lies on the part
 Numbers = tuple[tuple[str, float], ...]
@@ -151,6 +152,8 @@ class Reasons:
             )
             return Reason("grasp", cause, text, numbers)
         opening = cell.description.maximum_opening
+        if cause in ("contact", "fingers") or not is_box(part.shape):
+            return _no_pinch(cause, found_on_mesh(part, cell), opening)
         width, other, _ = sorted((2 * part.shape.bounding_box().half_extents).tolist())
         text = (
             f"its narrowest side of {millimetres(width)} is {millimetres(width - opening)} wider than the fingers' "
@@ -241,6 +244,27 @@ def _least(blamed: Sequence[str], counts: Sequence[tuple[str, int]], total: int)
     """What is hit where the least is hit, if that was not told yet."""
     always = {name for name, count in counts if count == total}
     return f"; in one of them only {listed(blamed)}" if set(blamed) - always else ""
+
+
+def _no_pinch(cause: Unholdable | None, found: MeshGrasps, opening: float) -> Reason:
+    """Why two pads find no place on a part of any form."""
+    numbers: Numbers = (("opening", opening), ("contact", found.contact), ("least_contact", LEAST_CONTACT))
+    if cause == "width" and math.isinf(found.narrowest):
+        return Reason("grasp", "width", "it has no two opposite surfaces that fingers could close on", numbers[:1])
+    if cause == "width":
+        text = (
+            f"its narrowest place between opposite surfaces is {millimetres(found.narrowest)} wide, and the fingers "
+            f"open {millimetres(opening)}"
+        )
+        return Reason("grasp", "width", text, (("width", found.narrowest), *numbers[:1]))
+    if cause == "contact":
+        text = (
+            f"no two opposite surfaces touch enough of the fingers' pads: each touches {1e6 * found.contact:.3g} mm² "
+            f"of at least {1e6 * LEAST_CONTACT:.3g} mm²"
+        )
+        return Reason("grasp", "contact", text, numbers)
+    text = f"wherever the pads touch it enough (up to {1e6 * found.contact:.3g} mm² each), a finger would reach into it"
+    return Reason("grasp", "fingers", text, numbers)
 
 
 def _meeting(name: str, after: float, height: float, least: float) -> str:

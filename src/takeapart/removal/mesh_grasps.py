@@ -1,0 +1,306 @@
+"""Where a part of any form can be gripped between two flat pads.
+
+Two fingers close along a direction; each pad must lie on enough of the surface, and no finger may reach into the part,
+neither closed nor on its way there. Directions come from the part's box and its flat faces, places from a grid around
+its centre of mass, so that the grasps depend on the body and hardly on its tessellation. Around each closing direction
+the hand approaches every 30 degrees, as far over the part as it has to be and no farther.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from takeapart.model.assembly import Part
+from takeapart.model.bounding import flat_directions
+from takeapart.model.description import RobotDescription
+from takeapart.model.geometry import Array, Shape, TriangleMesh, pose_inverse
+from takeapart.removal.candidates import GraspCandidate
+from takeapart.removal.contact_maps import ContactMap, crossings, lengths_along, pinches, touched_areas
+from takeapart.robot.arrays import Integers
+from takeapart.robot.gripper import gripper_boxes
+
+LEAST_CONTACT = 2e-5  # m^2, of each pad
+GIVES_WAY = 0.0005  # m; pads touch what is nearer than this, and fingers may overlap the part by less
+MOST_OVERHANG = 0.012  # m; the tool's point stands no farther outside of the part's bounding box
+TIP_MARGIN = 0.002  # m, by which the fingers' tips end before the part does, where they reach that far
+TURN = math.pi / 6  # between approach directions around a closing direction
+MOST_POSES = 60  # of a part; each in both finger orders
+# From which steepness downwards: how many poses of a kind are taken at a time, and of all kinds while others are left.
+TURNS = ((0.7, 4, 30), (-0.3, 2, 22), (-math.inf, 1, 8))
+MOST_CONTACTS, LEAST_CONTACTS = 60, 4  # places whose approaches are looked at: in all; along a closing direction
+PLACES = 9  # of a direction, along the longer side of the map
+PIXELS = 100  # along the longest side of a map
+FINEST_PIXEL, COARSEST_PIXEL = 0.0004, 0.0015  # m
+WIDTH_STEP = 1e-4  # m; the hand is looked at once for each opening
+SAME_PLACE, SAME_TURN = 0.006, math.cos(math.radians(20))
+SLOPE = math.cos(math.radians(10))  # surfaces steeper to the closing direction do not suggest it
+
+
+@dataclass(frozen=True, eq=False)
+class MeshGrasps:
+    """Grasps of a part, and what is in the way of more.
+
+    Args:
+        candidates: the best first, each in both finger orders next to each other.
+        narrowest: least distance between two opposite surfaces, m, however wide; infinite where there are none.
+        contact: largest area that both pads would have at once, m^2, among those that fit between the fingers.
+        blocked: whether there is contact enough, but everywhere a finger would reach into the part.
+    """
+
+    candidates: tuple[GraspCandidate, ...]
+    narrowest: float
+    contact: float
+    blocked: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Fingers:
+    pad: Array  # (4,) m, see `touched_areas`
+    bodies: Array  # (B, 6) m
+
+    @property
+    def pad_area(self) -> float:
+        return float((self.pad[1] - self.pad[0]) * (self.pad[3] - self.pad[2]))
+
+
+def mesh_grasps(part: Part, description: RobotDescription, friction: float) -> MeshGrasps:
+    """Grasps of a part whose shape is a mesh, those from above first where they are equally good.
+
+    Args:
+        friction: coefficient between a finger's pad and the part.
+    """
+    down = -part.T_world_part[2, :3]  # world -z in the part's frame
+    return _grasps(_ByIdentity(part.shape), tuple(np.round(down, 6).tolist()), description, friction)
+
+
+class _ByIdentity:
+    """A shape as a key: equal shapes are one object."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self.key = getattr(shape, "hash", None) or id(shape)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ByIdentity) and self.key == other.key
+
+
+@lru_cache(maxsize=512)
+def _grasps(
+    key: _ByIdentity, down: tuple[float, float, float], description: RobotDescription, friction: float
+) -> MeshGrasps:
+    shape = key.shape
+    surface, center = shape.surface(), shape.center_of_mass()
+    opening, least_cosine = description.maximum_opening, 1 / math.hypot(1, friction)
+    narrowest, contact, blocked = math.inf, 0.0, False
+    chosen: list[tuple[Array, Array]] = []  # frame (3, 3) with rows e1, e2, d, and contacts (N, 5)
+    views: list[ContactMap] = []
+    directions = _closing_directions(shape, surface)
+    for d in directions:
+        axes = _axes_across(d, np.array(down), shape.bounding_box().T_frame_box[:3, :3])
+        view = _view(surface, axes)
+        pairs = pinches(view, _places(view, axes @ center), least_cosine, 6)
+        spans = pairs[:, 3] - pairs[:, 2]
+        if len(pairs):
+            narrowest = min(narrowest, float(spans.min()))
+        pairs = pairs[(spans <= opening + 1e-9) & (spans > 1e-4)]
+        if len(pairs):
+            chosen.append((axes, pairs))
+            views.append(view)
+    if not chosen:
+        return MeshGrasps((), narrowest, 0.0)
+    poses, widths, costs, steep = [np.empty((0, 4, 4))], [np.empty(0)], [np.empty(0)], [np.empty(0)]
+    size = float(np.linalg.norm(shape.bounding_box().half_extents))
+    share = max(LEAST_CONTACTS, MOST_CONTACTS // len(chosen))
+    for (axes, pairs), view in zip(chosen, views, strict=True):
+        tries = _tries(view, _nearest(view, pairs, axes @ center, share), description)
+        for fingers, rows in _by_width(tries, description):
+            spread = np.maximum(0.0, (opening - (rows[:, 5] - rows[:, 4])) / 2)
+            found = touched_areas(view, rows, fingers.pad, fingers.bodies, spread, GIVES_WAY, least_cosine)
+            areas = found[:, :2].min(axis=1)
+            contact = max(contact, float(areas.max(initial=0.0)))
+            blocked = blocked or bool((areas >= LEAST_CONTACT).any())
+            good = (areas >= LEAST_CONTACT) & (found[:, 2] > 0)
+            T = _poses(axes, rows[good])
+            levers = np.linalg.norm(np.cross(center - T[:, :3, 3], axes[2]), axis=1)
+            poses.append(T)
+            widths.append(
+                np.minimum(opening, np.ceil((rows[good, 5] - rows[good, 4]) / WIDTH_STEP - 1e-3) * WIDTH_STEP)
+            )
+            steep.append(T[:, :3, 2] @ np.array(down))
+            costs.append(levers / size + 0.3 * (1 - areas[good] / fingers.pad_area) + 0.25 * (1 - steep[-1]))
+    candidates = _spread_out(*(np.concatenate(each) for each in (poses, widths, costs, steep)))
+    return MeshGrasps(candidates, narrowest, contact, blocked and not candidates)
+
+
+def _closing_directions(shape: Shape, surface: TriangleMesh) -> Array:
+    """Directions (D, 3) along which fingers may close: of the part's box, every 30 degrees around its axes where there
+    is a surface across, and of other flat faces; either way is one."""
+    R = shape.bounding_box().T_frame_box[:3, :3]
+    turned = []
+    for k in range(3):
+        for n in (1, 2, 4, 5):
+            turned.append(math.cos(n * TURN) * R[:, (k + 1) % 3] + math.sin(n * TURN) * R[:, (k + 2) % 3])
+    normals = np.cross(*np.moveaxis(surface.corners[:, 1:] - surface.corners[:, :1], 1, 0))
+    doubled = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(doubled, 1e-300)[:, None]
+    flats, areas = flat_directions(surface)
+    flats = flats[areas >= max(LEAST_CONTACT, 0.01 * doubled.sum() / 2)]
+    candidates = np.concatenate([R.T, flats, np.array(turned)])
+    found: list[Array] = []
+    for k, d in enumerate(candidates):
+        cosines = normals @ d
+        both = min(float(doubled[cosines > SLOPE].sum()), float(doubled[cosines < -SLOPE].sum())) / 2
+        if (k < 3 or both >= LEAST_CONTACT) and all(
+            abs(float(d @ other)) < math.cos(math.radians(5)) for other in found
+        ):
+            found.append(d / np.linalg.norm(d))
+    return np.array(found).reshape(-1, 3)
+
+
+def _axes_across(d: Array, down: Array, R: Array) -> Array:
+    """Rows e1, e2, d of a right-handed frame, e1 as far downwards as it can be, or along an axis of the part's box."""
+    for near in (down, *R.T):
+        across = near - (near @ d) * d
+        if np.linalg.norm(across) > 0.1:
+            e1 = across / np.linalg.norm(across)
+            return np.array([e1, np.cross(d, e1), d])
+    raise AssertionError("one of three axes is not parallel to a direction")
+
+
+def _view(surface: TriangleMesh, axes: Array) -> ContactMap:
+    corners = np.ascontiguousarray(surface.corners @ axes.T)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cosines = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    low, high = corners[:, :, :2].min(axis=(0, 1)), corners[:, :, :2].max(axis=(0, 1))
+    pixel = float(np.clip((high - low).max() / PIXELS, FINEST_PIXEL, COARSEST_PIXEL))
+    shape = np.ceil((high - low) / pixel).astype(np.int32) + 1
+    origin = (low + high) / 2 - shape * pixel / 2
+    starts, heights, slopes = crossings(corners, cosines, origin, pixel, shape)
+    return ContactMap(origin, pixel, shape, starts, heights, slopes)
+
+
+def _places(view: ContactMap, center: Array) -> Integers:
+    """Pixels (P, 2) on a grid through the centre of mass."""
+    step = max(1, int(view.shape.max()) // PLACES)
+    middle = np.clip(((center[:2] - view.origin) / view.pixel).astype(np.int32), 0, view.shape - 1)
+    rows, columns = (np.arange(middle[k] % step, view.shape[k], step) for k in range(2))
+    grid = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.ascontiguousarray(grid, dtype=np.int32)
+
+
+def _nearest(view: ContactMap, pairs: Array, center: Array, count: int) -> Array:
+    """Those of the contacts nearest to the centre of mass: (N, 4) position along e1 and e2, heights, m."""
+    points = view.origin + (pairs[:, :2] + 0.5) * view.pixel
+    distances = np.linalg.norm(points - center[:2], axis=1)
+    order = np.lexsort((-(pairs[:, 3] - pairs[:, 2]), np.round(distances, 5)))[:count]
+    return np.column_stack([points, pairs[:, 2:]])[order]
+
+
+def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> Array:
+    """Grasps (K, 6), see `touched_areas`, at contacts (N, 4): all approaches, with the contact in the middle of the
+    pads unless the fingers' tips would stand out of the part, and with the tips a little before the contact's end."""
+    tip = float(_fingers(description, round(float(contacts[0, 3] - contacts[0, 2]), 3)).pad[3])
+    angles = TURN * np.arange(round(2 * math.pi / TURN))
+    ways = np.column_stack([np.cos(angles), np.sin(angles)])
+    surfaces, body = np.moveaxis(lengths_along(view, contacts, ways, tip, GIVES_WAY), 2, 0)  # (N, 12) m
+    back = tip - surfaces + np.minimum(TIP_MARGIN, surfaces)
+    retracts = (surfaces < tip) & (back <= MOST_OVERHANG)
+    stays = (body >= tip) | ~retracts
+    tries = []
+    for used, offset in ((stays, np.zeros_like(back)), (retracts, back)):
+        places = contacts[:, None, :2] - offset[..., None] * ways
+        along, heights = np.broadcast_to(ways, places.shape), np.broadcast_to(contacts[:, None, 2:], places.shape)
+        tries.append(np.concatenate([places, along, heights], axis=2)[used])
+    return np.concatenate(tries)
+
+
+def _by_width(tries: Array, description: RobotDescription) -> list[tuple[_Fingers, Array]]:
+    """Grasps of about equal width, for which the fingers stand alike."""
+    widths = np.round(tries[:, 5] - tries[:, 4], 3)
+    return [
+        (_fingers(description, width), np.ascontiguousarray(tries[widths == width]))
+        for width in np.unique(widths).tolist()
+    ]
+
+
+@lru_cache(maxsize=4096)
+def _fingers(description: RobotDescription, width: float) -> _Fingers:
+    """Face of the pads and bodies of the fingers in the tool frame, at an opening, m; the fingers mirror each other."""
+    gripper = description.gripper
+    boxes, _ = gripper_boxes(gripper, width)
+    T_tool_base = pose_inverse(gripper.T_base_tool(width))
+    rows = []
+    for box in boxes:
+        corners = box.moved(T_tool_base).corners()
+        if corners[:, 1].mean() < 0:
+            corners = corners * [1, -1, 1]
+        (x0, y0, z0), (x1, y1, z1) = corners.min(axis=0), corners.max(axis=0)
+        rows.append([x0, x1, z0, z1, y0 - width / 2, y1 - width / 2])
+    bodies = np.unique(np.round(rows, 6), axis=0)
+    face = bodies[np.argmin(np.abs(bodies[:, 4]) - 1e-3 * bodies[:, 3])]
+    bodies[:, 4] = np.maximum(bodies[:, 4], 0.0)  # boxes around fingers stand out where the fingers do not
+    return _Fingers(np.ascontiguousarray(face[:4]), np.ascontiguousarray(bodies[bodies[:, 5] > 1e-3]))
+
+
+def _poses(axes: Array, grasps: Array) -> Array:
+    """Poses (K, 4, 4) of the tool in the part's frame."""
+    T = np.zeros((len(grasps), 4, 4))
+    T[:, :3, 2] = grasps[:, 2:4] @ axes[:2]
+    T[:, :3, 1] = axes[2]
+    T[:, :3, 0] = np.cross(T[:, :3, 1], T[:, :3, 2])
+    T[:, :3, 3] = np.column_stack([grasps[:, :2], (grasps[:, 4] + grasps[:, 5]) / 2]) @ axes
+    T[:, 3, 3] = 1.0
+    return T
+
+
+def _spread_out(poses: Array, widths: Array, costs: Array, steep: Array) -> tuple[GraspCandidate, ...]:
+    """The best of poses (K, 4, 4), none much like a better one, and both finger orders of each.
+
+    Poses with about the same approach and closing directions are one kind. Kinds take turns, so that whatever stands
+    around the part leaves some; those from above give more each turn.
+    """
+    order = np.lexsort((*np.round(poses[:, :3, 3], 5).T, np.round(costs, 6)))
+    poses, widths, steep = poses[order], widths[order], steep[order]
+    kinds: list[list[int]] = []
+    left = np.ones(len(poses), dtype=np.bool_)
+    while left.any():
+        k = int(np.argmax(left))
+        same = left & (poses[:, :3, 2] @ poses[k, :3, 2] > SAME_TURN)
+        same &= np.abs(poses[:, :3, 1] @ poses[k, :3, 1]) > SAME_TURN
+        left &= ~same
+        members = np.nonzero(same)[0]
+        apart: list[int] = []
+        while len(members) and len(apart) < MOST_POSES:
+            apart.append(int(members[0]))
+            away = np.linalg.norm(poses[members, :3, 3] - poses[members[0], :3, 3], axis=1)
+            members = members[away >= SAME_PLACE]
+        kinds.append(apart)
+    taken = _in_turns(kinds, [next(k for k, turn in enumerate(TURNS) if steep[kind[0]] >= turn[0]) for kind in kinds])
+    candidates = []
+    for T, width in zip(poses[taken], widths[taken].tolist(), strict=True):
+        exchanged = T.copy()
+        exchanged[:3, :2] *= -1
+        candidates += [GraspCandidate(T.copy(), width), GraspCandidate(exchanged, width)]
+    return tuple(candidates)
+
+
+def _in_turns(kinds: list[list[int]], steepness: list[int]) -> list[int]:
+    """Up to `MOST_POSES` members of kinds, ascending; from each kind as many at a time as its row of `TURNS` says."""
+    taken: list[int] = []
+    room = [most for _, _, most in TURNS]
+    while any(kinds) and len(taken) < MOST_POSES:
+        if not any(kind and room[row] for kind, row in zip(kinds, steepness, strict=True)):
+            room = [MOST_POSES] * len(TURNS)
+        for kind, row in zip(kinds, steepness, strict=True):
+            count = min(TURNS[row][1], room[row], len(kind), MOST_POSES - len(taken))
+            taken += kind[:count]
+            del kind[:count]
+            room[row] -= count
+    return sorted(taken)
