@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from takeapart.model.geometry import Array
+import numpy as np
+
+from takeapart.collision.contact import Contacts
+from takeapart.collision.fields import Field, box_field
+from takeapart.collision.sweep import first_hit, nearest_distance
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array, OrientedBox, pose_inverse
+from takeapart.removal.directions import directions_of, sphere
 
 ExitKind = Literal["straight", "pushes", "screw"]
 
@@ -35,3 +44,186 @@ class ExitRule(Protocol):
     def exits(self, part: int) -> tuple[Exit, ...]:
         """All that are worth trying, those with the fewest blockers first."""
         ...
+
+
+APART = 5e-3  # m, between the covers of a part and of what it passed, at the end of its exit
+SHORTEST, MOST_TRAVEL = 0.01, 2.0  # m
+MOST_EXITS = 8  # of a part
+BEYOND = 1e-4  # m past the end of an overlap of covers
+
+
+class Exits:
+    """Straight ways out of a product, in any direction; found when first asked for.
+
+    Args:
+        assembly: the product.
+        contacts: its near pairs.
+        obstacles: boxes of the environment, world frame.
+        clearance: kept from whatever is further away at the start, m; along the rest a part may slide.
+    """
+
+    def __init__(
+        self, assembly: Assembly, contacts: Contacts, obstacles: Sequence[OrientedBox], clearance: float
+    ) -> None:
+        self._assembly, self._contacts, self._clearance = assembly, contacts, clearance
+        self._parts = len(assembly.parts)
+        self._obstacles: list[tuple[Field, Array]] = [
+            (box_field(box.T_frame_box, box.half_extents), box.corners()) for box in obstacles
+        ]
+        self._covers = [_bounds([box.corners() for box in part.boxes_in_world()]) for part in assembly.parts]
+        self._covers += [_bounds([corners]) for _, corners in self._obstacles]
+        self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
+        self._exits: dict[int, tuple[Exit, ...]] = {}
+
+    def exits(self, part: int) -> tuple[Exit, ...]:
+        """The exits worth trying, those with the fewest blockers first; where every one meets what never leaves, those,
+        with what they hit."""
+        if part not in self._exits:
+            self._exits[part] = self._find(part)
+        return self._exits[part]
+
+    def _find(self, part: int) -> tuple[Exit, ...]:
+        if self._assembly.parts[part].fixed:
+            return ()
+        first = directions_of(self._assembly, self._contacts, part)
+        found = [self._along(part, direction) for direction in first]
+        if not any(way.blockers == 0 for way in found):
+            found += [self._along(part, direction) for direction in sphere() if _is_new(direction, first)]
+        open_ = [way for way in found if way.blockers is not None]
+        if not open_:
+            return tuple(found[:MOST_EXITS])
+        kept: list[Exit] = []
+        for way in sorted(open_, key=_preference):
+            assert way.blockers is not None
+            worse = any(other.blockers is not None and not other.blockers & ~way.blockers for other in kept)
+            similar = sum(other.blockers == way.blockers for other in kept)
+            if not worse or (similar and similar < 3):
+                kept.append(way)
+        return tuple(kept[:MOST_EXITS])
+
+    def _along(self, part: int, direction: Array) -> Exit:
+        hits = self._hits(part, direction)
+        length, blockers = self._length(part, direction, dict(hits))
+        poses = np.repeat(self._assembly.parts[part].T_world_part[None], 2, axis=0)
+        poses[1, :3, 3] += length * direction
+        told: dict[int, float] = {}
+        for owner, after in hits:
+            number = owner if owner < self._parts and not self._assembly.parts[owner].fixed else self._parts
+            if after <= length:
+                told[number] = min(after, told.get(number, math.inf))
+        return Exit("straight", poses, blockers, direction, tuple(sorted(told.items(), key=lambda hit: hit[1])))
+
+    def _hits(self, part: int, direction: Array) -> list[tuple[int, float]]:
+        """What a part meets along a direction, and after how many m; obstacles are numbered after the parts."""
+        body, T_world_part = self._contacts.body(part), self._assembly.parts[part].T_world_part
+        points = body.points @ T_world_part[:3, :3].T + T_world_part[:3, 3]
+        low, high = points.min(axis=0), points.max(axis=0)
+        swept = np.minimum(low, low + self._travel * direction), np.maximum(high, high + self._travel * direction)
+        found = []
+        for other in range(self._parts):
+            if other == part:
+                continue
+            theirs, T = self._contacts.body(other), self._assembly.parts[other].T_world_part
+            near = theirs.surface.moved(T).bounds
+            if (near[0] > swept[1] + self._clearance).any() or (near[1] < swept[0] - self._clearance).any():
+                continue
+            kept = self._kept(part, other)
+            back = pose_inverse(T)
+            hit = first_hit(
+                theirs.field,
+                np.ascontiguousarray(points @ back[:3, :3].T + back[:3, 3]),
+                back[:3, :3] @ direction,
+                kept,
+                self._travel,
+            )
+            mine = pose_inverse(T_world_part)
+            world = theirs.points @ T[:3, :3].T + T[:3, 3]
+            hit = min(
+                hit,
+                first_hit(
+                    body.field,
+                    np.ascontiguousarray(world @ mine[:3, :3].T + mine[:3, 3]),
+                    -(mine[:3, :3] @ direction),
+                    kept,
+                    min(self._travel, hit),
+                ),
+            )
+            if hit < math.inf:
+                found.append((other, hit))
+        for number, (field, _) in enumerate(self._obstacles):
+            kept = self._clearance
+            hit = first_hit(field, points, direction, min(kept, nearest_distance(field, points) - BEYOND), self._travel)
+            if hit < math.inf:
+                found.append((self._parts + number, hit))
+        return found
+
+    def _kept(self, part: int, other: int) -> float:
+        """How near two parts may come, m: negative where they may overlap."""
+        found = self._contacts.finding(part, other)
+        if found is not None and found.gap <= self._clearance:
+            return -self._contacts.tolerance(part, other)
+        return self._clearance
+
+    def _length(self, part: int, direction: Array, hits: dict[int, float]) -> tuple[float, int | None]:
+        """The shortest way along a direction at whose end the part's cover is apart from those of all that it did not
+        hit on the way, m; and what it hit by then."""
+        own = self._covers[part]
+        overlaps = {
+            other: _overlaps(own, cover, direction) for other, cover in enumerate(self._covers) if other != part
+        }
+        ends = [np.array([SHORTEST])] + [each[:, 1] + BEYOND for each in overlaps.values()]
+        for length in np.unique(np.concatenate(ends)).tolist():
+            if length < SHORTEST:
+                continue
+            if length > self._travel + APART:
+                break
+            if all(
+                hits.get(other, math.inf) <= length or not ((each[:, 0] < length) & (length < each[:, 1])).any()
+                for other, each in overlaps.items()
+            ):
+                blockers = 0
+                for other, after in hits.items():
+                    if after <= length:
+                        if other >= self._parts or self._assembly.parts[other].fixed:
+                            return length, None
+                        blockers |= 1 << other
+                return length, blockers
+        return self._travel, None
+
+
+def _bounds(boxes: Sequence[Array]) -> Array:
+    """(K, 2, 3) m: axis-aligned bounds of boxes by their corners."""
+    return np.array([[corners.min(axis=0), corners.max(axis=0)] for corners in boxes])
+
+
+def _product(assembly: Assembly) -> Array:
+    corners = [part.shape.bounding_box().moved(part.T_world_part).corners() for part in assembly.parts]
+    return np.concatenate(corners)
+
+
+def _overlaps(own: Array, others: Array, direction: Array) -> Array:
+    """(P, 2) m: from where to where along a direction bounds (K, 2, 3) are nearer than `APART` to others (L, 2, 3)."""
+    low = others[None, :, 0] - own[:, None, 1] - APART
+    high = others[None, :, 1] - own[:, None, 0] + APART
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, last = low / direction, high / direction
+    still = np.abs(direction) < 1e-9
+    inside = (low < 0) & (high > 0)
+    first = np.where(still, np.where(inside, -np.inf, np.inf), first)
+    last = np.where(still, np.where(inside, np.inf, -np.inf), last)
+    enter, leave = np.minimum(first, last).max(axis=2), np.maximum(first, last).min(axis=2)
+    enter = np.where((still & ~inside).any(axis=2), np.inf, enter)
+    met = (enter < leave) & (leave > 0)
+    return np.asarray(np.column_stack([enter[met], leave[met]]))
+
+
+def _preference(way: Exit) -> tuple[int, int, float, float]:
+    """Few blockers first, then upwards, then short."""
+    assert way.blockers is not None and way.direction is not None
+    down = int(way.direction[2] < -0.05)
+    length = float(np.linalg.norm(way.poses[-1, :3, 3] - way.poses[0, :3, 3]))
+    return way.blockers.bit_count(), down, round(-float(way.direction[2]), 6), round(length, 6)
+
+
+def _is_new(direction: Array, known: Sequence[Array]) -> bool:
+    return all(float(direction @ other) < 0.999 for other in known)

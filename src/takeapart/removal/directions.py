@@ -1,0 +1,76 @@
+"""Directions in which a part may leave: up first, then those that its own form and its neighbours suggest."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from takeapart.collision.contact import Contacts
+from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Array
+
+SAME = 0.9995  # cosine; directions that differ by less are one
+FACETS = 6  # largest groups of parallel facets of a part that are tried
+SPHERE = 96  # directions all around
+
+
+def directions_of(assembly: Assembly, contacts: Contacts, part: int) -> tuple[Array, ...]:
+    """Unit vectors (3,) in the world: straight up, the axes of the world and of the part's tight box, the normals of
+    its largest facets, those of its neighbours, and away from the middle of the product."""
+    chosen: list[Array] = []
+
+    def add(direction: Array) -> None:
+        length = float(np.linalg.norm(direction))
+        if length > 1e-9:
+            unit = np.where(np.abs(direction / length) < 1e-9, 0.0, direction / length)
+            unit = unit / np.linalg.norm(unit)
+            if all(float(unit @ other) < SAME for other in chosen):
+                chosen.append(unit)
+
+    for axis in ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
+        add(np.array(axis, dtype=float))
+    body = assembly.parts[part]
+    box = body.shape.bounding_box().moved(body.T_world_part)
+    for axis in box.T_frame_box[:3, :3].T:
+        add(axis)
+        add(-axis)
+    for normal in _facet_normals(assembly, part):
+        add(normal)
+        add(-normal)
+    for other in range(len(assembly.parts)):
+        if other != part and contacts.finding(part, other) is not None:
+            for normal in _facet_normals(assembly, other)[:3]:
+                add(normal)
+                add(-normal)
+    for angle in np.arange(0.0, 2 * np.pi, np.pi / 6):
+        add(np.array([np.cos(angle), np.sin(angle), 0.0]))
+    add(np.array([0.0, 0.0, -1.0]))
+    return tuple(chosen)
+
+
+def _facet_normals(assembly: Assembly, part: int) -> list[Array]:
+    """Normals in the world of the largest groups of parallel facets, the largest first."""
+    body = assembly.parts[part]
+    corners = body.shape.surface().corners
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(crosses, axis=1)
+    normals = crosses[areas > 1e-12] / areas[areas > 1e-12, None]
+    areas = areas[areas > 1e-12]
+    groups, number = np.unique(np.round(normals, 2) + 0.0, axis=0, return_inverse=True)
+    sums = np.bincount(number.ravel(), weights=areas, minlength=len(groups))
+    found = []
+    for k in np.argsort(-sums, kind="stable")[:FACETS]:
+        members = number.ravel() == k
+        mean = (normals[members] * areas[members, None]).sum(axis=0)
+        found.append(body.T_world_part[:3, :3] @ (mean / np.linalg.norm(mean)))
+    return found
+
+
+@cache
+def sphere() -> tuple[Array, ...]:
+    """Evenly spread unit vectors, upward ones first: a Fibonacci spiral."""
+    k = np.arange(SPHERE) + 0.5
+    z = 1 - 2 * k / SPHERE
+    r, angle = np.sqrt(1 - z * z), np.pi * (1 + np.sqrt(5)) * k
+    return tuple(np.column_stack([r * np.cos(angle), r * np.sin(angle), z]))
