@@ -349,4 +349,5 @@ def test_what_stands_does_not_fall_in_mujoco() -> None:
 def test_what_stands_does_not_fall_in_mujoco_on_200_states() -> None:
     counts = agreement(200, seed=0)
     assert counts[True, False] == 0
+    print(counts)
     assert counts[True, True] + counts[False, False] >= 190

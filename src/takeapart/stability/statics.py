@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
+from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csc_array, hstack
 
 from takeapart.model.assembly import Assembly
@@ -161,20 +161,27 @@ class Statics:
         limits = self.limits[chosen] * stronger / unit
         upper = np.concatenate([limits, np.ones(N)])
         cost = np.concatenate([np.zeros(len(chosen)), np.ones(N)])
-        found = linprog(  # type: ignore[call-overload]  # the stubs know no sparse matrices
-            cost,
-            A_eq=hstack([forces, lift], format="csc"),
-            b_eq=-load.ravel(),
-            bounds=np.stack([np.zeros(len(upper)), upper], axis=1),
-            method="highs-ds",
-        )
-        if found.status != 0:  # never, but for numbers at the edge of what the solver takes
-            return Balance(np.ones(N), {})
+        solution = _minimum(cost, hstack([forces, lift], format="csc"), -load.ravel(), upper)
+        if solution is None:
+            return Balance(np.ones(N), {})  # nothing was shown
         tension: dict[int, float] = {}
         for k in np.nonzero(self.joint[chosen] >= 0)[0]:
             joint = int(self.joint[chosen[k]])
-            tension[joint] = max(tension.get(joint, 0.0), float(found.x[k]) * unit)
-        return Balance(np.clip(found.x[len(chosen) :], 0.0, 1.0), tension)
+            tension[joint] = max(tension.get(joint, 0.0), float(solution[k]) * unit)
+        return Balance(np.clip(solution[len(chosen) :], 0.0, 1.0), tension)
+
+
+def _minimum(cost: Array, balance: csc_array, wanted: Array, upper: Array) -> Array | None:
+    """Least cost over forces from 0 to `upper`, (N,), that balance what is wanted; None where the solver gives up.
+
+    HiGHS, without presolve, is twice as fast on these programs, and this way to it costs less than `linprog`.
+    """
+    bounds, equal = Bounds(np.zeros(len(upper)), upper), LinearConstraint(balance, wanted, wanted)
+    for presolve in (False, True):
+        found = milp(cost, constraints=equal, bounds=bounds, options={"presolve": presolve})
+        if found.status == 0:
+            return np.asarray(found.x)
+    return None
 
 
 def _cones(normals: Array, friction: float) -> Array:
