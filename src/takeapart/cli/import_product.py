@@ -105,8 +105,8 @@ def import_product(
 ) -> None:
     """Make a product of a STEP file, or of a folder of meshes in their places.
 
-    Every mesh file is a part; STEP and GLB hold the parts with their names. Prints what is found: sizes, masses, what is
-    fixed and why, which parts touch, overlap or stand apart, what floats. Nothing is repaired silently.
+    Every mesh file is a part; STEP and GLB hold the parts with their names. Prints what is found: sizes, masses, what
+    is fixed and why, which parts touch, overlap or stand apart, what floats. Nothing is repaired silently.
     """
     from takeapart.formats.files import load_assembly, save_assembly
     from takeapart.formats.importing import import_product as read_product
@@ -188,10 +188,11 @@ def _finding(found: ImportedProduct, pair: DrawnPair) -> str:
     names = {found.assembly.parts[pair.first].name, found.assembly.parts[pair.second].name}
     allowed = any(set(each) == names for each in found.assembly.allowed_overlaps)
     if pair.depth > SHOWN_DEPTH:
-        end = "" if pair.depth <= REPORTED_DEPTH else ", allowed" if allowed else ": press fit or wrong drawing?"
-        if pair.depth > REFUSED_DEPTH and not allowed:
-            end = ": too deep; mend the drawing, or --allow-overlap where it is meant"
-        return f"overlap{end}"
+        if pair.depth <= REPORTED_DEPTH:
+            return "overlap"
+        if allowed:
+            return "overlap, allowed"
+        return "too deep: see --allow-overlap" if pair.depth > REFUSED_DEPTH else "press fit or wrong drawing?"
     touches = pair.gap <= found.assembly.contact_gap
     if math.isnan(pair.depth):
         return f"{'contact' if touches else 'gap'}; overlap not known, a part is open"
@@ -209,7 +210,7 @@ def _print(found: ImportedProduct, file: Path) -> None:
     print_table("", ["part", ">size, mm", ">mass, kg", ">faces", "closed", ""], rows)
     click.echo("")
     click.echo(f"unit: {found.unit}; density {found.assembly.provenance['density']:g} kg/m3 for all parts")
-    click.echo(f"fixed: {', '.join(part.name for part in parts if part.fixed)} ({found.fixed_because})")
+    click.echo(f"fixed: {', '.join(part.name for part in parts if part.fixed)}; {found.fixed_because}")
     for i, drawn in enumerate(found.drawn_names):
         if drawn != parts[i].name:
             click.echo(f"named: {parts[i].name}, drawn as {shortened(drawn)}")

@@ -53,9 +53,10 @@ def valid_names(drawn: list[str]) -> list[str]:
     found: list[str] = []
     taken: set[str] = set()
     plain = [_plain(name) for name in drawn]
+    drawn_so = {name.lower() for name in plain}
     for name in plain:
         count, candidate = 1, name
-        while candidate.lower() in taken or (count > 1 and candidate in plain):
+        while candidate.lower() in taken or (count > 1 and candidate.lower() in drawn_so):
             count += 1
             candidate = f"{name[: 63 - len(str(count))]}-{count}"
         taken.add(candidate.lower())

@@ -19,6 +19,7 @@ from takeapart.model.meshes import Mesh
 NEAR = 5e-3  # m; pairs further apart than this are not looked at
 SAMPLES = 3000  # corners of a surface that are looked at
 SMALLEST_VOLUME = 1e-15  # m^3; less is rounding
+SMALLEST_THICKNESS = 1e-6  # m, of an overlap: twice its volume over its area; less is contact
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class DrawnPairs:
         if self._bounds_gap(a, b) <= 0:
             common = first ^ second
             volume = common.volume()
-            if volume > SMALLEST_VOLUME:
+            if volume > SMALLEST_VOLUME and 2 * volume > SMALLEST_THICKNESS * common.surface_area():
                 return 0.0, self._depth(a, b, np.asarray(common.to_mesh64().vert_properties)[:, :3])
         gap = float(first.min_gap(second, 1.05 * furthest + 1e-6))
         return (gap, 0.0) if gap <= furthest else (np.inf, 0.0)

@@ -218,7 +218,8 @@ def _fixed(
     bottom = min(lowest)
     grounded = [i for i in range(len(names)) if lowest[i] <= bottom + GROUND]
     heaviest = max(grounded, key=lambda i: masses[i])
-    return {heaviest}, f"the heaviest of {len(grounded)} on the ground (within 1 mm of the lowest point)"
+    others = f"the heaviest of {len(grounded)} parts" if len(grounded) > 1 else "the only part"
+    return {heaviest}, f"{others} on the ground (within 1 mm of the lowest point); change it with --fix"
 
 
 def _floating(assembly: Assembly, pairs: Sequence[DrawnPair], measured: DrawnPairs) -> tuple[Floating, ...]:

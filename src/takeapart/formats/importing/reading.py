@@ -1,6 +1,6 @@
 """The bodies of a STEP file, of a mesh file, or of a folder of mesh files.
 
-STEP is tessellated by cascadio (Open CASCADE) in a process of its own: whatever a broken file does to it ends in one line.
+STEP is tessellated by cascadio (Open CASCADE) in a process of its own: what a broken file does to it ends in one line.
 """
 
 from __future__ import annotations
