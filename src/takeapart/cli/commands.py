@@ -20,6 +20,7 @@ import takeapart
 from takeapart.cli.compare import compare
 from takeapart.cli.demo import demo
 from takeapart.cli.generate import generate
+from takeapart.cli.import_product import import_product
 from takeapart.cli.inspect import explain, show
 from takeapart.cli.output import EXIT_ERROR, EXIT_INTERRUPTED, paragraph
 from takeapart.cli.plan import plan
@@ -97,6 +98,7 @@ def _complain(message: str) -> None:
         "A first look:",
         "  takeapart demo",
         "Your own product:",
+        "  takeapart import product.step --out product/",
         "  takeapart show product.json",
         "  takeapart plan product.json --workcell cell.toml",
         "  takeapart verify product.plan.json",
@@ -125,6 +127,7 @@ def main(context: click.Context) -> None:
 for _command in (
     demo,
     generate,
+    import_product,
     plan,
     show,
     explain,
