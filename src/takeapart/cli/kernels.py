@@ -114,7 +114,8 @@ def units(orders: bool) -> dict[str, Unit]:
     ]
     view = example(contact_maps.ContactMap)
     called += [  # of grasps on meshes
-        (contact_maps.touched_areas, (view, two, one, two, one, 0.0, 0.0)),
+        (contact_maps.touched_areas, (view, two, one, two, 0.0, one, 0.0, 0.0)),
+        (contact_maps.lengths_behind, (view, two, two, 0.0, 0)),
         (contact_maps.crossings, (three, one, one, 0.0, int32)),
         (contact_maps.pinches, (view, np.zeros((1, 1), np.int32), 0.0, 0)),
         (contact_maps.lengths_along, (view, two, two, 0.0, 0.0)),

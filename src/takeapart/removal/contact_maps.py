@@ -144,6 +144,26 @@ def lengths_along(view: ContactMap, contacts: Floats, ways: Floats, most: float,
 
 
 @compiled
+def lengths_behind(view: ContactMap, contacts: Floats, ways: Floats, half_width: float, stride: int) -> Floats:
+    """How far the body reaches behind each contact (N, 2), position along e1 and e2, against each of directions (W, 2),
+    in a strip of a half width, m: (N, W), at every so manieth pixel."""
+    lengths = np.zeros((len(contacts), len(ways)))
+    for i in range(0, view.shape[0], stride):
+        u = view.origin[0] + (i + 0.5) * view.pixel
+        for j in range(0, view.shape[1], stride):
+            k = i * view.shape[1] + j
+            if view.starts[k] == view.starts[k + 1]:
+                continue
+            v = view.origin[1] + (j + 0.5) * view.pixel
+            for n in range(len(contacts)):
+                ru, rv = u - contacts[n, 0], v - contacts[n, 1]
+                for w in range(len(ways)):
+                    if abs(rv * ways[w, 0] - ru * ways[w, 1]) <= half_width:
+                        lengths[n, w] = max(lengths[n, w], -ru * ways[w, 0] - rv * ways[w, 1])
+    return lengths
+
+
+@compiled
 def _holds(view: ContactMap, k: int, low: float, high: float) -> bool:
     """Whether there is material between two heights in a pixel."""
     depth = 0
@@ -165,6 +185,7 @@ def touched_areas(
     grasps: Floats,
     pad: Floats,
     bodies: Floats,
+    palm: float,
     spread: Floats,
     tolerance: float,
     least_cosine: float,
@@ -176,6 +197,7 @@ def touched_areas(
             of the two pads' faces, m.
         pad: (4,) ends of the pads' faces along the tool's x, and along its z, m.
         bodies: (B, 6) of one finger, each a box: its ends along x and z, how far from the face it begins and ends, m.
+        palm: the tool's z at which the palm begins, m; between and beside the fingers nothing may be there.
         spread: (K,) by which each finger opens further before it is let down along z, m.
         tolerance: to which pads give way, m.
 
@@ -216,6 +238,8 @@ def touched_areas(
                 x = ru * -a_v + rv * a_u
                 if z > reach + pixel or abs(x) > reach + pixel:
                     continue
+                if z < palm - grown and pad[0] <= x <= pad[1]:
+                    free = False
                 if pad[0] <= x <= pad[1] and pad[2] <= z <= pad[3]:
                     touches_low, touches_high = False, False
                     for c in range(view.starts[k], view.starts[k + 1]):
@@ -225,6 +249,8 @@ def touched_areas(
                             touches_high = True
                     below += touches_low
                     above += touches_high
+                if not free:
+                    continue  # how much the pads touch is told all the same
                 first_height, last_height = view.heights[view.starts[k]], view.heights[view.starts[k + 1] - 1]
                 if first_height >= low - tolerance and last_height <= high + tolerance:
                     continue  # nothing outside of the two faces
@@ -244,10 +270,6 @@ def touched_areas(
                         free = False
                     if not free:
                         break
-                if not free:
-                    break
-            if not free:
-                break
         result[g, 0], result[g, 1] = below * pixel**2, above * pixel**2
         result[g, 2] = 1.0 if free else 0.0
     return result

@@ -19,19 +19,21 @@ from takeapart.model.bounding import flat_directions
 from takeapart.model.description import RobotDescription
 from takeapart.model.geometry import Array, Shape, TriangleMesh, pose_inverse
 from takeapart.removal.candidates import GraspCandidate
-from takeapart.removal.contact_maps import ContactMap, crossings, lengths_along, pinches, touched_areas
+from takeapart.removal.contact_maps import ContactMap, crossings, lengths_along, lengths_behind, pinches, touched_areas
 from takeapart.robot.arrays import Integers
 from takeapart.robot.gripper import gripper_boxes
 
 LEAST_CONTACT = 2e-5  # m^2, of each pad
 GIVES_WAY = 0.0005  # m; pads touch what is nearer than this, and fingers may overlap the part by less
 MOST_OVERHANG = 0.012  # m; the tool's point stands no farther outside of the part's bounding box
+PALM_SLACK = 0.001  # m, that the palm keeps off the part at least
 TIP_MARGIN = 0.002  # m, by which the fingers' tips end before the part does, where they reach that far
 TURN = math.pi / 6  # between approach directions around a closing direction
 MOST_POSES = 60  # of a part; each in both finger orders
 # From which steepness downwards: how many poses of a kind are taken at a time, and of all kinds while others are left.
 TURNS = ((0.7, 4, 30), (-0.3, 2, 22), (-math.inf, 1, 8))
-MOST_CONTACTS, LEAST_CONTACTS = 60, 4  # places whose approaches are looked at: in all; along a closing direction
+CONTACTS = 5  # that are looked at along an approach direction
+STRIDES = 40  # of pixels along the longest side of a map, where the palm would be
 PLACES = 9  # of a direction, along the longer side of the map
 PIXELS = 100  # along the longest side of a map
 FINEST_PIXEL, COARSEST_PIXEL = 0.0004, 0.0015  # m
@@ -61,6 +63,7 @@ class MeshGrasps:
 class _Fingers:
     pad: Array  # (4,) m, see `touched_areas`
     bodies: Array  # (B, 6) m
+    palm: float  # m, along the tool's z
 
     @property
     def pad_area(self) -> float:
@@ -117,12 +120,13 @@ def _grasps(
         return MeshGrasps((), narrowest, 0.0)
     poses, widths, costs, steep = [np.empty((0, 4, 4))], [np.empty(0)], [np.empty(0)], [np.empty(0)]
     size = float(np.linalg.norm(shape.bounding_box().half_extents))
-    share = max(LEAST_CONTACTS, MOST_CONTACTS // len(chosen))
     for (axes, pairs), view in zip(chosen, views, strict=True):
-        tries = _tries(view, _nearest(view, pairs, axes @ center, share), description)
+        tries = _tries(view, _by_distance(view, pairs, axes @ center), description)
         for fingers, rows in _by_width(tries, description):
             spread = np.maximum(0.0, (opening - (rows[:, 5] - rows[:, 4])) / 2)
-            found = touched_areas(view, rows, fingers.pad, fingers.bodies, spread, GIVES_WAY, least_cosine)
+            found = touched_areas(
+                view, rows, fingers.pad, fingers.bodies, fingers.palm, spread, GIVES_WAY, least_cosine
+            )
             areas = found[:, :2].min(axis=1)
             contact = max(contact, float(areas.max(initial=0.0)))
             blocked = blocked or bool((areas >= LEAST_CONTACT).any())
@@ -195,29 +199,39 @@ def _places(view: ContactMap, center: Array) -> Integers:
     return np.ascontiguousarray(grid, dtype=np.int32)
 
 
-def _nearest(view: ContactMap, pairs: Array, center: Array, count: int) -> Array:
-    """Those of the contacts nearest to the centre of mass: (N, 4) position along e1 and e2, heights, m."""
+def _by_distance(view: ContactMap, pairs: Array, center: Array) -> Array:
+    """The contacts by their distance to the centre of mass: (N, 4) position along e1 and e2, heights, m."""
     points = view.origin + (pairs[:, :2] + 0.5) * view.pixel
     distances = np.linalg.norm(points - center[:2], axis=1)
-    order = np.lexsort((-(pairs[:, 3] - pairs[:, 2]), np.round(distances, 5)))[:count]
+    order = np.lexsort((-(pairs[:, 3] - pairs[:, 2]), np.round(distances, 5)))
     return np.column_stack([points, pairs[:, 2:]])[order]
 
 
 def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> Array:
-    """Grasps (K, 6), see `touched_areas`, at contacts (N, 4): all approaches, with the contact in the middle of the
-    pads unless the fingers' tips would stand out of the part, and with the tips a little before the contact's end."""
-    tip = float(_fingers(description, round(float(contacts[0, 3] - contacts[0, 2]), 3)).pad[3])
+    """Grasps (K, 6), see `touched_areas`: along each approach direction at the first of the contacts (N, 4) that the
+    fingers are long enough for, with the contact in the middle of the pads unless the fingers' tips would stand out of
+    the part, and with the tips a little before the contact's end."""
+    fingers = _fingers(description, round(float(contacts[0, 3] - contacts[0, 2]), 3))
+    tip = float(fingers.pad[3])
     angles = TURN * np.arange(round(2 * math.pi / TURN))
     ways = np.column_stack([np.cos(angles), np.sin(angles)])
-    surfaces, body = np.moveaxis(lengths_along(view, contacts, ways, tip, GIVES_WAY), 2, 0)  # (N, 12) m
+    places, member = np.unique(contacts[:, :2], axis=0, return_inverse=True)
+    stride = max(1, int(view.shape.max()) // STRIDES)
+    behind = lengths_behind(view, np.ascontiguousarray(places), ways, float(fingers.pad[1]), stride)[member.ravel()]
+    within = behind <= -fingers.palm
+    if not within.any():
+        within[:1] = True  # what is wrong with the best is said
+    ranks = np.cumsum(within, axis=0)
+    chosen, way = np.nonzero(within & (ranks <= CONTACTS))
+    lengths = lengths_along(view, np.ascontiguousarray(contacts), ways, tip, GIVES_WAY)[chosen, way]
+    surfaces, body = lengths.T  # m
     back = tip - surfaces + np.minimum(TIP_MARGIN, surfaces)
     retracts = (surfaces < tip) & (back <= MOST_OVERHANG)
     stays = (body >= tip) | ~retracts
     tries = []
     for used, offset in ((stays, np.zeros_like(back)), (retracts, back)):
-        places = contacts[:, None, :2] - offset[..., None] * ways
-        along, heights = np.broadcast_to(ways, places.shape), np.broadcast_to(contacts[:, None, 2:], places.shape)
-        tries.append(np.concatenate([places, along, heights], axis=2)[used])
+        at = contacts[chosen, :2] - offset[:, None] * ways[way]
+        tries.append(np.column_stack([at, ways[way], contacts[chosen, 2:]])[used])
     return np.concatenate(tries)
 
 
@@ -246,7 +260,8 @@ def _fingers(description: RobotDescription, width: float) -> _Fingers:
     bodies = np.unique(np.round(rows, 6), axis=0)
     face = bodies[np.argmin(np.abs(bodies[:, 4]) - 1e-3 * bodies[:, 3])]
     bodies[:, 4] = np.maximum(bodies[:, 4], 0.0)  # boxes around fingers stand out where the fingers do not
-    return _Fingers(np.ascontiguousarray(face[:4]), np.ascontiguousarray(bodies[bodies[:, 5] > 1e-3]))
+    palm = float(bodies[:, 2].min()) + PALM_SLACK
+    return _Fingers(np.ascontiguousarray(face[:4]), np.ascontiguousarray(bodies[bodies[:, 5] > 1e-3]), palm)
 
 
 def _poses(axes: Array, grasps: Array) -> Array:
