@@ -117,6 +117,13 @@ class RemovalPlanner:
         """Whether the gripper can hold the part, whatever stands around it: it is neither too heavy nor too wide."""
         return bool(self.reach.candidates(part))
 
+    def freedom(self, part: int) -> tuple[int, ...]:
+        """Masks of the parts that the part would hit on its ways out of its place; it gets out if any of them is free.
+        Empty where what never leaves is in every way.
+        """
+        lift = self.lift_blockers[part]
+        return () if lift is None else (lift,)
+
     def straight_line_total(self, removals: Sequence[Removal]) -> float:
         """The straight-line bound, m: no plan that removes these parts, each gripped somewhere in its volume, is
         shorter.
