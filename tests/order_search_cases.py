@@ -15,15 +15,15 @@ Search = Callable[[SyntheticProblem, ProgressListener], SearchResult]
 
 
 class MaskedProblem(SyntheticProblem):
-    """The same problem, with its gravity as `hindered_by` and a static bound per part."""
+    """The same problem, with its gravity as `freedom` and a static bound per part."""
 
     def __init__(self, problem: SyntheticProblem, static_share: float = 0.8) -> None:
         super().__init__(problem.hidden, problem.gravity, None, problem.noise, problem.seed)
         self.static_share = static_share
 
     @property
-    def hindered_by(self) -> list[int]:
-        return self.gravity
+    def freedom(self) -> list[tuple[int, ...]]:
+        return [(mask,) for mask in self.gravity]
 
     def static_lower(self, part: int) -> float:
         return self.static_share * min((each.length for each in self.hidden[part]), default=0.0)

@@ -134,7 +134,7 @@ class SyntheticProblem:
     # What a search sees.
 
     @property
-    def hindered_by(self) -> Sequence[int] | None:
+    def freedom(self) -> Sequence[tuple[int, ...]] | None:
         """Not said here: `needs` is no condition that masks of what must be gone could express."""
         return None
 
@@ -150,8 +150,8 @@ class SyntheticProblem:
     def hindrance(self, state: int, part: int) -> Blocked | None:
         if part in self.candidates(state):
             return None
-        masks = self.hindered_by
-        return Blocked(part, "stability", state & (masks[part] if masks is not None else ~(1 << part)))
+        masks = [mask & state for mask in self.freedom[part]] if self.freedom is not None else [state & ~(1 << part)]
+        return Blocked(part, "stability", min(masks, key=int.bit_count, default=0))
 
     def candidates(self, state: int) -> list[int]:
         return [

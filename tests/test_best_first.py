@@ -232,7 +232,7 @@ def test_smallest_states_hold_all_that_must_wait() -> None:
     for seed in range(20):
         problem = MaskedProblem(random_problem(7, seed))
         states = problem.reachable()
-        found = smallest_states(problem.root, problem.hindered_by)
+        found = smallest_states(problem.root, problem.freedom)
         for part, smallest in found.items():
             leaving = [state for state in states if part in problem.candidates(state)]
             assert all(smallest & ~state == 0 for state in leaving)

@@ -77,10 +77,10 @@ class TwoParts:
     """Two parts that leave in any order, at a fixed length; no geometry."""
 
     root = 0b11
-    hindered_by = (0, 0)  # with it the enumeration of states is the compiled one
+    freedom = ((0,), (0,))  # with it the enumeration of states is the compiled one
 
     def __init__(self) -> None:
-        self.counts, self.edge_bounds = Counts(), EdgeBounds([0.0, 0.0])
+        self.counts, self.edge_bounds, self.standing = Counts(), EdgeBounds([0.0, 0.0]), Standing()
 
     def candidates(self, state: int) -> Sequence[int]:
         return [part for part in range(2) if state >> part & 1]

@@ -26,7 +26,7 @@ from takeapart.states import pack, unpack
 
 
 class MaskedProblem(SyntheticProblem):
-    """The synthetic problem with its gravity as `hindered_by`, over freely numbered parts."""
+    """The synthetic problem with its gravity as `freedom`, over freely numbered parts."""
 
     def __init__(self, problem: SyntheticProblem, numbers: list[int] | None = None) -> None:
         count = len(problem.hidden)
@@ -41,8 +41,8 @@ class MaskedProblem(SyntheticProblem):
         return sum(1 << number for part, number in enumerate(self.numbers) if state >> part & 1)
 
     @property
-    def hindered_by(self) -> list[int]:
-        return self.gravity
+    def freedom(self) -> list[tuple[int, ...]]:
+        return [(mask,) for mask in self.gravity]
 
 
 def enumerated(problem: SyntheticProblem) -> Lattice:

@@ -121,8 +121,8 @@ def units(orders: bool) -> dict[str, Unit]:
         (contact_maps.lengths_along, (view, two, two, 0.0, 0.0)),
     ]
     of_orders = [
-        (lattice._count_candidates, (bits, bits)),
-        (lattice._expand_layer, (bits, bits, int16, int32, bits, int32)),
+        (lattice._count_candidates, (bits, bits, int64)),
+        (lattice._expand_layer, (bits, bits, int64, int16, int32, bits, int32)),
         (lattice._group_by_part, (int64, int16, int64, int32, int32)),
         (lattice._intersection, (bits, int32)),
         (lattice.cost_to_go, (int64, int32, one, int32, one)),

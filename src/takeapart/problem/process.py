@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from takeapart.model.assembly import Assembly
+from takeapart.problem.standing import Standing, Statics, standing_by
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.journal import QueryJournal, RecordedAnswer, RemovalQuery, ThreadCounts
 from takeapart.removal.planner import RemovalPlanner
@@ -40,9 +41,18 @@ class Problem(Protocol):
         ...
 
     @property
-    def hindered_by(self) -> Sequence[int] | None:
-        """Per part number the state of those that must leave before it does: the part is a candidate of a state if they
-        share no part. None where candidates follow from no such masks; then conditions may be other than monotone.
+    def freedom(self) -> Sequence[tuple[int, ...]] | None:
+        """Per part number masks of parts that its ways out would hit or that would fall: it is a candidate of a state
+        if any of them shares no part with the state; without any, it never is. None where candidates follow from no
+        such masks; then conditions may be other than monotone.
+        """
+        ...
+
+    @property
+    def standing(self) -> Standing:
+        """Which states may be entered: no removal may lead to one that does not stand. It says nothing about
+        `candidates`, `lower`, `upper` and `remove`, which take every state as standing: searches ask it for the states
+        on the way that they are about to propose.
         """
         ...
 
@@ -54,11 +64,13 @@ class Problem(Protocol):
         ...
 
     def candidates(self, state: int) -> Sequence[int]:
-        """Parts that gravity and lifting let go in this state, ascending; costs nothing."""
+        """Parts that masks of gravity and exits let go in this state, ascending; costs nothing."""
         ...
 
     def hindrance(self, state: int, part: int) -> Blocked | None:
-        """Why a part is no candidate of a state; None if it is one."""
+        """Why a part may not leave, whatever the arm can do: it is no candidate, or others would fall without it. None
+        if it may.
+        """
         ...
 
     def upper(self, state: int, part: int) -> float:
@@ -86,7 +98,7 @@ class AssemblyProblem:
 
     Args:
         planner: of the assembly's removals.
-        stability: what gravity lets go.
+        stability: what gravity lets go, by masks, by statics asked state by state, or by both.
         seed: of all random choices of the planner.
         library: removals and closed edges known before; by default none.
         journal: answers queries that were answered before, and keeps the others. A recalled answer counts as it did
@@ -96,7 +108,7 @@ class AssemblyProblem:
     def __init__(
         self,
         planner: RemovalPlanner,
-        stability: Stability,
+        stability: Stability | Statics,
         seed: int = 0,
         library: EdgeBounds | None = None,
         journal: QueryJournal | None = None,
@@ -108,10 +120,12 @@ class AssemblyProblem:
         self.root = assembly.root
         self.counts: Counts = planner.counts
         movable = members(self.root)
-        self.hindered_by = [0] * len(assembly.parts)
+        self.freedom: list[tuple[int, ...]] = [()] * len(assembly.parts)
         for part in movable:
-            lift = next(iter(planner.freedom(part)), self.root)
-            self.hindered_by[part] = lift | stability.dependents(part, self.root)
+            if planner.is_graspable(part):
+                dependents = self._dependents(part, self.root)
+                self.freedom[part] = tuple(mask | dependents for mask in planner.freedom(part))
+        self.standing = standing_by(stability) if isinstance(stability, Statics) else Standing()
         bounds = [planner.candidate_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
         self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
         self._asked: dict[tuple[int, int], int] = {}
@@ -130,7 +144,7 @@ class AssemblyProblem:
 
     def candidates(self, state: int) -> list[int]:
         """Parts that gravity, lifting and the gripper's limits let go in this state, ascending."""
-        return [part for part in members(state) if not self.hindered_by[part] & state]
+        return [part for part in members(state) if any(not mask & state for mask in self.freedom[part])]
 
     def upper(self, state: int, part: int) -> float:
         """Length of the shortest known removal that is valid here, m; infinite if none is known."""
@@ -141,16 +155,26 @@ class AssemblyProblem:
         return self.edge_bounds.lower(state, part)
 
     def hindrance(self, state: int, part: int) -> Blocked | None:
-        """Why gravity or lifting keep a part in a state, or no gripper of this cell ever takes it; None if neither."""
+        """Why gravity or its exits keep a part in a state, or no gripper of this cell ever takes it; None if none
+        does.
+        """
+        by_masks = self._hindrance_by_masks(state, part)
+        if by_masks is not None:
+            return by_masks
+        fallen = self.standing.fallen(state & ~(1 << part))
+        return Blocked(part, "stability", fallen) if fallen else None
+
+    def _hindrance_by_masks(self, state: int, part: int) -> Blocked | None:
         if not self.planner.is_graspable(part):
             return Blocked(part, "grasp", 0)
-        fallen = self.stability.dependents(part, state)
+        fallen = self._dependents(part, state)
         if fallen:
             return Blocked(part, "stability", fallen)
-        freedom = self.planner.freedom(part)
-        if all(mask & state for mask in freedom):
-            return Blocked(part, "lift", min((mask & state for mask in freedom), key=int.bit_count, default=0))
-        return None
+        hit = [mask & state for mask in self.planner.freedom(part)]
+        return Blocked(part, "lift", min(hit, key=int.bit_count, default=0)) if all(hit) else None
+
+    def _dependents(self, part: int, state: int) -> int:
+        return self.stability.dependents(part, state) if isinstance(self.stability, Stability) else 0
 
     def remove(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
         """The removal query. What the library answers for certain costs nothing and is not counted.
@@ -165,7 +189,7 @@ class AssemblyProblem:
         Raises:
             OutOfTimeError: the time was over first; everything but the time is as if this had not been asked.
         """
-        hindrance = self.hindrance(state, part)
+        hindrance = self._hindrance_by_masks(state, part)
         if hindrance is not None:
             return hindrance
         if effort.fresh:

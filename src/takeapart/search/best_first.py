@@ -89,7 +89,7 @@ def best_first(
     """A good order of parts with a bound, without enumerating states.
 
     Args:
-        problem: with `hindered_by` conditions are known to be monotone, and the first dead end proves that there is no
+        problem: with `freedom` conditions are known to be monotone, and the first dead end proves that there is no
             order.
         budget: an episode is a beam or a sweep.
         guide: leads the first descent, and the sweeps as far as their factor allows.

@@ -94,7 +94,7 @@ def exact(
     """The best order of parts, and the proof of it, for the edge costs that the removal planner finds.
 
     Args:
-        problem: with `hindered_by` states are enumerated by compiled code.
+        problem: with `freedom` states are enumerated by compiled code.
         budget: an episode is a round.
         guide: leads the first descent, and says which of several unknown edges is asked first.
         observe_settled: is told in the end the known removals in all states of which the cost to the goal is known; as

@@ -19,7 +19,7 @@ from takeapart.compilation import compiled
 from takeapart.model.errors import InputError
 from takeapart.problem import Problem
 from takeapart.removal.result import never
-from takeapart.states import Words, members, pack, unpack
+from takeapart.states import Words, members, pack, unpack, words_needed
 
 Numbers = NDArray[np.int64]
 Values = NDArray[np.float64]
@@ -87,8 +87,8 @@ class Lattice:
 def enumerate_states(problem: Problem, limit: int, is_late: Callable[[], bool] = never) -> Lattice | TooLarge | None:
     """All states reachable from the root by `candidates`.
 
-    Where the problem has `hindered_by` (part p may leave state s if `hindered_by[p] & s == 0`), the enumeration is
-    compiled; otherwise `candidates` is asked once per state.
+    Where the problem has `freedom` (part p may leave state s if any mask of `freedom[p]` shares no part with it), the
+    enumeration is compiled; otherwise `candidates` is asked once per state.
 
     Args:
         limit: of the number of states.
@@ -103,21 +103,23 @@ def enumerate_states(problem: Problem, limit: int, is_late: Callable[[], bool] =
     if not 1 <= limit <= LARGEST_LATTICE // 8:
         raise InputError(f"{limit} states; must be between 1 and {LARGEST_LATTICE // 8}", "state limit")
     parts = tuple(members(problem.root))
-    masks = problem.hindered_by
+    freedom = problem.freedom
     expand: Callable[[Words, int], _Layer | None]
-    if masks is None:
+    if freedom is None:
 
         def expand(layer: Words, room: int) -> _Layer | None:
             return _expand_by_asking(problem, parts, layer, room)
 
     else:
-        free = sum(not masks[part] & problem.root for part in parts)
+        free = sum(any(not mask & problem.root for mask in freedom[part]) for part in parts)
         if 2**free > limit:  # parts that may leave at once leave in any order: each subset of them is a state
             return TooLarge(limit)
-        hindered = np.array([pack(masks[part], parts) for part in parts], dtype=np.uint64).reshape(len(parts), -1)
+        first_mask = np.cumsum([0, *(len(freedom[part]) for part in parts)])
+        packed = [pack(mask, parts) for part in parts for mask in freedom[part]]
+        masks = np.array(packed, dtype=np.uint64).reshape(len(packed), words_needed(len(parts)))
 
         def expand(layer: Words, room: int) -> _Layer | None:
-            return _expand_by_masks(hindered, layer, room)
+            return _expand_by_masks(masks, first_mask, layer, room)
 
     layers = [pack(problem.root, parts)[None, :]]
     edges: list[_Layer] = []
@@ -146,14 +148,14 @@ class _Layer:
     states: Words
 
 
-def _expand_by_masks(hindered: Words, layer: Words, room: int) -> _Layer | None:
-    degree = _count_candidates(layer, hindered)
+def _expand_by_masks(masks: Words, first_mask: Numbers, layer: Words, room: int) -> _Layer | None:
+    degree = _count_candidates(layer, masks, first_mask)
     count = int(degree.sum())
     part, child = np.empty(count, np.int16), np.empty(count, np.int32)
     capacity = min(count, room + 1)
     states = np.empty((capacity, layer.shape[1]), np.uint64)
     slots = np.full(1 << max(4, (2 * capacity).bit_length()), -1, np.int32)
-    found = _expand_layer(layer, hindered, part, child, states, slots)
+    found = _expand_layer(layer, masks, first_mask, part, child, states, slots)
     return None if found < 0 or found > room else _Layer(degree, part, child, states[:found].copy())
 
 
@@ -194,35 +196,39 @@ def _assemble(parts: tuple[int, ...], layers: list[Words], edges: list[_Layer]) 
 
 
 @compiled
-def _may_leave(state, hindered, k):  # type: ignore[no-untyped-def]
+def _may_leave(state, masks, first_mask, k):  # type: ignore[no-untyped-def]
     if not (state[k >> 6] >> np.uint64(k & 63)) & np.uint64(1):
         return False
-    for w in range(state.shape[0]):
-        if state[w] & hindered[k, w]:
-            return False
-    return True
+    for m in range(first_mask[k], first_mask[k + 1]):
+        free = True
+        for w in range(state.shape[0]):
+            if state[w] & masks[m, w]:
+                free = False
+        if free:
+            return True
+    return False
 
 
 @compiled
-def _count_candidates(layer, hindered):  # type: ignore[no-untyped-def]
+def _count_candidates(layer, masks, first_mask):  # type: ignore[no-untyped-def]
     degree = np.zeros(layer.shape[0], np.int64)
     for i in range(layer.shape[0]):
-        for k in range(hindered.shape[0]):
-            if _may_leave(layer[i], hindered, k):
+        for k in range(first_mask.shape[0] - 1):
+            if _may_leave(layer[i], masks, first_mask, k):
                 degree[i] += 1
     return degree
 
 
 @compiled
-def _expand_layer(layer, hindered, part, child, states, slots):  # type: ignore[no-untyped-def]
+def _expand_layer(layer, masks, first_mask, part, child, states, slots):  # type: ignore[no-untyped-def]
     """Fill edges and next states, found by open addressing in `slots`; their number, or -1 if `states` is too small."""
     words, capacity = layer.shape[1], states.shape[0]
     last = np.uint64(slots.shape[0] - 1)
     leaving = np.empty(words, np.uint64)
     found = edge = 0
     for i in range(layer.shape[0]):
-        for k in range(hindered.shape[0]):
-            if not _may_leave(layer[i], hindered, k):
+        for k in range(first_mask.shape[0] - 1):
+            if not _may_leave(layer[i], masks, first_mask, k):
                 continue
             key = np.uint64(0x9E3779B97F4A7C15)
             for w in range(words):

@@ -24,8 +24,8 @@ class Orders:
     def __init__(self, lazy: LazyEdges, batch: int) -> None:
         self.lazy, self.batch, self.guide = lazy, batch, lazy.guide
         self.session, self.bounds, self.edge_queries = lazy.session, lazy.bounds, lazy.edge_queries
-        self.masks = self.session.problem.hindered_by
-        self.smallest = smallest_states(self.session.problem.root, self.masks)
+        self.freedom = self.session.problem.freedom
+        self.smallest = smallest_states(self.session.problem.root, self.freedom)
 
     def least_costs(self) -> dict[int, float]:
         """Per part what it costs at least wherever it leaves, m."""
@@ -48,7 +48,7 @@ class Orders:
 
     def meet_dead_end(self, state: int) -> None:
         """Take note of a dead end; raises DeadEndError where it proves that there is no order."""
-        if self.masks is not None:
+        if self.freedom is not None:
             self.dead_end(state)
             raise DeadEndError
 
@@ -61,19 +61,22 @@ class Orders:
         return telling(edges, count, lambda edge: (self.bounds.upper(*edge) - self.bounds.lower(*edge),))
 
 
-def smallest_states(root: int, masks: Sequence[int] | None) -> dict[int, int]:
-    """Per part the parts that are present whenever it leaves: itself, and all that must wait for it."""
-    if masks is None:
+def smallest_states(root: int, freedom: Sequence[tuple[int, ...]] | None) -> dict[int, int]:
+    """Per part the parts that are present whenever it leaves: itself, and all that must wait for it.
+
+    What is left when all others leave that can while the part stays: each time something leaves, more can, so that it
+    does not matter in which order.
+    """
+    if freedom is None:
         return {part: 1 << part for part in members(root)}
-    waiting_for = {part: 1 << part for part in members(root)}
-    changed = True
-    while changed:
-        changed = False
-        for part in waiting_for:
-            later = waiting_for[part]
-            for other in members(root & ~later):
-                if masks[other] & later & root:
-                    later |= 1 << other
-            if later != waiting_for[part]:
-                waiting_for[part], changed = later, True
-    return waiting_for
+    return {part: _without_all_that_may_leave_before(part, root, freedom) for part in members(root)}
+
+
+def _without_all_that_may_leave_before(part: int, root: int, freedom: Sequence[tuple[int, ...]]) -> int:
+    state, before = root, 0
+    while state != before:
+        before = state
+        for other in members(state & ~(1 << part)):
+            if any(not mask & state for mask in freedom[other]):
+                state &= ~(1 << other)
+    return state

@@ -5,7 +5,7 @@ Fixed parts stand in no state, and therefore in no mask here: what they carry is
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,8 +20,9 @@ SAME_LENGTH = 1e-3  # m; edges closer than this are equally long: what a file ro
 BALANCED = 1e-4  # m; a centre of mass must lie at least this far inside of what carries the part
 
 
+@runtime_checkable
 class Stability(Protocol):
-    """What the planner asks about gravity."""
+    """What the planner asks about gravity, where masks can say it."""
 
     def needs(self, part: int) -> int:
         """State of the removable parts that must be there as long as the part is."""
