@@ -115,7 +115,7 @@ def test_what_must_wait_for_a_part_is_there_whenever_it_leaves(seed: int, parts:
         for part, other in itertools.product(there, there):
             reached[part, other] |= bool((reached[part, there] & in_the_way[other, there]).any())
     expected = {part: sum(1 << k for k in there if reached[part, k]) for part in there}
-    assert smallest_states(root, masks) == expected
+    assert smallest_states(root, [(mask,) for mask in masks]) == expected
     assert smallest_states(root, None) == {part: 1 << part for part in there}
 
 

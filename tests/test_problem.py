@@ -15,7 +15,7 @@ from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.robot.model import RobotModel
-from takeapart.stability import ConnectorStability
+from takeapart.stability import ConnectorStability, Stability
 from takeapart.workcell import Workcell
 
 
@@ -51,6 +51,7 @@ def test_candidates_are_what_gravity_and_lifting_let_go(problem: AssemblyProblem
         for part in members(state):
             lift = next(iter(planner.freedom(part)), None)
             liftable = lift is not None and not any(state >> other & 1 for other in members(lift))
+            assert isinstance(problem.stability, Stability)
             carries = [p for p in members(state) if p != part and problem.stability.needs(p) >> part & 1]
             if liftable and not carries:
                 expected.append(part)

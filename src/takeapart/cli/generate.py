@@ -194,11 +194,11 @@ def _order_finder(workcell: Workcell, robot: RobotModel, seed: int, started: Cal
     from takeapart.removal.result import STAGES
     from takeapart.search.result import Budget
     from takeapart.search.simple_orders import OrderOptions, random_order
-    from takeapart.stability import ConnectorStability
+    from takeapart.stability import stability_of
 
     def find(assembly: Assembly) -> tuple[str, ...] | str:
         started()
-        problem = AssemblyProblem(RemovalPlanner(assembly, workcell, robot=robot), ConnectorStability(assembly), seed)
+        problem = AssemblyProblem(RemovalPlanner(assembly, workcell, robot=robot), stability_of(assembly), seed)
         result = random_order(problem, OrderOptions(monotone=True), Budget(), np.random.default_rng([seed, 1]))
         if result.interrupted:
             raise KeyboardInterrupt

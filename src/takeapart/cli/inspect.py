@@ -206,7 +206,7 @@ def explain(assembly: Path, workcell: str, without: tuple[str, ...], attempts: i
     from takeapart.planning import PlanningOptions, build_problem
     from takeapart.planning import explain as hindrances_in
     from takeapart.removal.result import Blocked, Effort
-    from takeapart.stability import require_support
+    from takeapart.stability import require_standing
 
     product, cell = load_assembly(assembly), load_workcell(workcell)
     gone = product.state_of(without)
@@ -214,7 +214,7 @@ def explain(assembly: Path, workcell: str, without: tuple[str, ...], attempts: i
     if fixed:
         raise InputError(f"part {fixed[0]!r} is fixed and never leaves; give removable parts", "--without")
     state = product.root & ~gone
-    require_support(product)
+    require_standing(product)
     compile_first(cell, orders=False)
     lengths: dict[str, float] = {}
     refusals: list[Blocked] = []

@@ -263,9 +263,9 @@ def make_plan(
     """
     from takeapart.planning import build_problem, plan_in_run, plan_of, run_identity, search
     from takeapart.planning.runs import finished_plan, open_run
-    from takeapart.stability import require_support
+    from takeapart.stability import require_standing
 
-    require_support(assembly)  # before a minute of compiling
+    require_standing(assembly)  # before a minute of compiling
     title = f"planning {assembly.name}, {options.search}"
     if run is None:
         compile_first(workcell)

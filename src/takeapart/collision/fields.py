@@ -1,8 +1,8 @@
 """Signed distance fields: how far a point is from the surface of a shape, negative inside.
 
 A box is exact. A mesh has a grid of whole numbers around its surface, in which a query interpolates between eight
-nodes; beyond its band it only knows that. Which side a node lies on is the majority of three rays along the axes, so that a mesh
-with a hole in its surface keeps an inside.
+nodes; beyond its band it only knows that. Which side a node lies on is the majority of three rays along the axes, so
+that a mesh with a hole in its surface keeps an inside.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from takeapart.search.beam import BeamOptions, beam
 from takeapart.search.refinement import RefinementOptions
 from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
-from takeapart.stability import ConnectorStability
+from takeapart.stability import stability_of
 from takeapart.workcell import Workcell
 
 PATIENCE = 2000  # episodes without a query or a gain, after which a search has nothing left to do
@@ -164,7 +164,7 @@ def compare(
 def _run(planner: RemovalPlanner, name: str, queries: int, seed: int) -> Outcome | None:
     """One run with an empty library; None if Ctrl-C ended it."""
     planner.counts = Counts()
-    problem = AssemblyProblem(planner, ConnectorStability(planner.assembly), seed)
+    problem = AssemblyProblem(planner, stability_of(planner.assembly), seed)
     improvements: list[tuple[int, float]] = []
 
     def listen(progress: Progress) -> None:

@@ -32,7 +32,7 @@ from takeapart.robot.model import RobotModel
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.result import Budget
 from takeapart.search.simple_orders import OrderOptions, greedy, random_order
-from takeapart.stability import ConnectorStability
+from takeapart.stability import stability_of
 from takeapart.workcell import Workcell
 
 RANDOM = "random choice"
@@ -94,7 +94,7 @@ class Judgement:
 def solve(assembly: Assembly, workcell: Workcell, robot: RobotModel, folder: Path, seed: int) -> Solved:
     """Closes an assembly; its experience is written into the folder."""
     planner = RemovalPlanner(assembly, workcell, robot=robot)
-    problem = AssemblyProblem(planner, ConnectorStability(assembly), seed)
+    problem = AssemblyProblem(planner, stability_of(assembly), seed)
     with ExperienceWriter(folder, assembly, seed=seed, search="exact") as writer:
         found = exact(problem, ExactOptions(), Budget(), observe_settled=writer.observe_settled)
     return Solved(problem, found.length, known_values(read_experience(folder)))

@@ -146,6 +146,12 @@ class Assembly:
         return any(not isinstance(part.shape, Box) for part in self.parts)
 
     @cached_property
+    def is_lifted(self) -> bool:
+        """Whether its parts leave straight upwards by the workcell's lift height and no other way: what stands in
+        connectors does (Sec. IV-B)."""
+        return bool(self.connectors) and not self.has_meshes
+
+    @cached_property
     def root(self) -> int:
         """State in which all removable parts are present."""
         return sum(1 << i for i, part in enumerate(self.parts) if not part.fixed)

@@ -19,7 +19,7 @@ from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Effort, Removal
 from takeapart.robot.extent import arm_extent
 from takeapart.robot.loading import load_robot
-from takeapart.stability import ConnectorStability
+from takeapart.stability import stability_of
 from takeapart.states import members
 from takeapart.workcell import Obstacle, Workcell
 
@@ -109,7 +109,7 @@ def taken_away(planner: RemovalPlanner) -> int:
     """Number of parts that are taken away if always the first that can leave does. What leaves early hinders no other,
     so another order would take away as many, but for paths that the planner finds in one order only.
     """
-    problem = AssemblyProblem(planner, ConnectorStability(planner.assembly), seed=0)
+    problem = AssemblyProblem(planner, stability_of(planner.assembly), seed=0)
     state, count = planner.assembly.root, 0
     while True:
         for part in problem.candidates(state):

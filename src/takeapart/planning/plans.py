@@ -25,7 +25,7 @@ from takeapart.removal.result import Blocked, Removal, Stage
 from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, History, ProgressListener, SearchResult
 from takeapart.search.session import SettledObserver, TransitionObserver
-from takeapart.stability import ConnectorStability, require_support
+from takeapart.stability import require_standing
 from takeapart.states import members
 from takeapart.workcell import Workcell
 
@@ -165,7 +165,7 @@ def plan(
         started = time.monotonic()
         result = search(problem, options, guide, listen, record)
         return plan_of(problem, result, options, time.monotonic() - started)
-    require_support(assembly)
+    require_standing(assembly)
     identity = run_identity(assembly, workcell, options, guide)
     known = finished_plan(run, identity)
     if known is not None:
@@ -239,9 +239,9 @@ def build_problem(
         InputError: a part floats, or the robot's files are missing.
     """
     options = options or PlanningOptions()
-    require_support(assembly)
+    stability = require_standing(assembly)
     planner = RemovalPlanner(assembly, workcell, options.removal)
-    return AssemblyProblem(planner, ConnectorStability(assembly), options.seed, journal=journal)
+    return AssemblyProblem(planner, stability, options.seed, journal=journal)
 
 
 def search(

@@ -49,14 +49,6 @@ class Problem(Protocol):
         ...
 
     @property
-    def standing(self) -> Standing:
-        """Which states may be entered: no removal may lead to one that does not stand. It says nothing about
-        `candidates`, `lower`, `upper` and `remove`, which take every state as standing: searches ask it for the states
-        on the way that they are about to propose.
-        """
-        ...
-
-    @property
     def edge_bounds(self) -> EdgeBounds:
         """Bounds on the cost of all edges, into which searches write what they learn; searches on one problem may share
         them. A search asks for them once.
@@ -120,12 +112,14 @@ class AssemblyProblem:
         self.root = assembly.root
         self.counts: Counts = planner.counts
         movable = members(self.root)
-        self.freedom: list[tuple[int, ...]] = [()] * len(assembly.parts)
+        masks: list[tuple[int, ...]] = [()] * len(assembly.parts)
         for part in movable:
             if planner.is_graspable(part):
                 dependents = self._dependents(part, self.root)
-                self.freedom[part] = tuple(mask | dependents for mask in planner.freedom(part))
+                masks[part] = tuple(mask | dependents for mask in planner.freedom(part))
+        self._masks = masks
         self.standing = standing_by(stability) if isinstance(stability, Statics) else Standing()
+        self.freedom: list[tuple[int, ...]] | None = masks if self.standing.always else None
         bounds = [planner.candidate_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
         self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
         self._asked: dict[tuple[int, int], int] = {}
@@ -143,8 +137,12 @@ class AssemblyProblem:
         return self.planner.assembly
 
     def candidates(self, state: int) -> list[int]:
-        """Parts that gravity, lifting and the gripper's limits let go in this state, ascending."""
-        return [part for part in members(state) if any(not mask & state for mask in self.freedom[part])]
+        """Parts that gravity, their exits and the gripper's limits let go in this state, ascending."""
+        return [
+            part
+            for part in members(state)
+            if any(not mask & state for mask in self._masks[part]) and not self.standing.fallen(state & ~(1 << part))
+        ]
 
     def upper(self, state: int, part: int) -> float:
         """Length of the shortest known removal that is valid here, m; infinite if none is known."""

@@ -10,9 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from takeapart.collision.contact import SPACING
+from takeapart.collision.fields import box_field, surface_points
+from takeapart.collision.sweep import nearest_distance
 from takeapart.model.assembly import OVERLAP_TOLERANCE, Assembly
 from takeapart.model.errors import InputError
-from takeapart.model.geometry import Array, OrientedBox, box_separation
+from takeapart.model.geometry import Array, Box, OrientedBox, box_separation
 from takeapart.motion.blockers import configuration_blockers
 from takeapart.motion.scene import new_scene
 from takeapart.removal.goals import ORIENTATIONS, GoalConfigurations
@@ -114,15 +117,26 @@ def _require_limits(workcell: Workcell, robot: RobotModel) -> None:
 
 
 def _require_free_parts(assembly: Assembly, workcell: Workcell) -> None:
-    for name, box in _removable(assembly):
-        for obstacle in workcell.environment:
-            depth = -_separation(box, obstacle.box)
+    for i, part in enumerate(assembly.parts):
+        for obstacle in () if part.fixed else workcell.environment:
+            name, depth = f"part {part.name!r}", _depth_in(obstacle.box, assembly, i)
             if depth > OVERLAP_TOLERANCE:
                 raise InputError(
                     f"reaches {1e3 * depth:.4g} mm into {name} of {assembly.name}; "
                     f"{1e3 * OVERLAP_TOLERANCE:.1f} mm is allowed",
                     f"{workcell.name}: obstacle {obstacle.name!r}",
                 )
+
+
+def _depth_in(obstacle: OrientedBox, assembly: Assembly, i: int) -> float:
+    """How deep a part, with what it hosts, reaches into a box, m; of a mesh, its deepest corner or point between."""
+    part = assembly.parts[i]
+    boxes = [box.moved(part.T_world_part) for box in assembly.body(i)]
+    depth = max(-_separation(box, obstacle) for box in boxes)
+    if isinstance(part.shape, Box) or depth <= 0:
+        return depth
+    points = surface_points(part.shape.surface().moved(part.T_world_part), SPACING)
+    return -nearest_distance(box_field(obstacle.T_frame_box, obstacle.half_extents), points)
 
 
 def _require_free_goal(assembly: Assembly, workcell: Workcell) -> None:

@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from takeapart.collision.contact import Contacts
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox
 from takeapart.model.plan import Grasp
 from takeapart.motion.blockers import path_blockers
 from takeapart.motion.edges import resampled
 from takeapart.motion.scene import Scene
-from takeapart.removal.exits import ExitRule
+from takeapart.removal.exits import ExitRule, Exits
 from takeapart.removal.goals import GoalConfigurations
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.lifting import Lifts
@@ -87,8 +88,7 @@ class RemovalPlanner:
         self._parts = len(assembly.parts)
         self._padding = padding(workcell.clearance, options.check_step)
         obstacles = tuple(obstacle.box for obstacle in workcell.environment)
-        kept = passing(workcell.clearance)
-        self.exits = exits or Lifts(assembly, workcell.lift_height, self._padding, obstacles, kept)
+        self.exits = exits or _exit_rule(assembly, workcell, obstacles, self._padding)
         boxes: list[tuple[OrientedBox, int]] = []
         for i, part in enumerate(assembly.parts):
             owner = self._parts if part.fixed else i
@@ -135,7 +135,7 @@ class RemovalPlanner:
         """The straight-line bound, m: no plan that removes these parts, each gripped somewhere in its volume, is
         shorter.
         """
-        lift, goal = self.workcell.lift_height, self.workcell.goal
+        lift, goal = self.workcell.lift_height if self.assembly.is_lifted else 0.0, self.workcell.goal
         return math.fsum(volume_bound(self.assembly.parts[each.part], lift, goal) for each in removals)
 
     def plan(
@@ -305,6 +305,15 @@ class RemovalPlanner:
             if hand.line is not None:
                 common &= hand.line
         return common or situation.others
+
+
+def _exit_rule(assembly: Assembly, workcell: Workcell, obstacles: tuple[OrientedBox, ...], padding: float) -> ExitRule:
+    """Lifts for what stands in connectors; else ways out in all directions."""
+    if assembly.is_lifted:
+        return Lifts(assembly, workcell.lift_height, padding, obstacles, passing(workcell.clearance))
+    contacts = Contacts(assembly)
+    contacts.require()
+    return Exits(assembly, contacts, obstacles, passing(workcell.clearance))
 
 
 def _fewest(masks: Sequence[int]) -> int:
