@@ -44,8 +44,9 @@ class DrawnPairs:
     def __init__(self, parts: Sequence[Part]) -> None:
         try:
             import manifold3d
-        except ImportError:
-            raise MissingExtraError("import", "cad", "manifold3d") from None
+            import rtree  # noqa: F401  # trimesh finds what is near with it
+        except ImportError as error:
+            raise MissingExtraError("import", "cad", error.name or "manifold3d") from None
         self._manifold3d: Any = manifold3d
         self.surfaces = [part.shape.surface().moved(part.T_world_part) for part in parts]
         self.bounds = np.array([surface.bounds for surface in self.surfaces])  # (P, 2, 3) m
@@ -72,10 +73,9 @@ class DrawnPairs:
             return min(self._corner_gap(a, b, furthest), self._corner_gap(b, a, furthest)), float("nan")
         first, second = self._body(a), self._body(b)
         if self._bounds_gap(a, b) <= 0:
-            common = first ^ second
-            volume = common.volume()
-            if volume > SMALLEST_VOLUME and 2 * volume > SMALLEST_THICKNESS * common.surface_area():
-                return 0.0, self._depth(a, b, np.asarray(common.to_mesh64().vert_properties)[:, :3])
+            corners = _corners_of(first ^ second)
+            if len(corners):
+                return 0.0, self._depth(a, b, corners)
         gap = float(first.min_gap(second, 1.05 * furthest + 1e-6))
         return (gap, 0.0) if gap <= furthest else (np.inf, 0.0)
 
@@ -111,6 +111,16 @@ class DrawnPairs:
         points = points[((points > low - furthest) & (points < high + furthest)).all(axis=1)]
         gap = float(self._distances(b, points).min()) if len(points) else np.inf
         return gap if gap <= furthest else np.inf
+
+
+def _corners_of(common: Any) -> Array:
+    """(N, 3) m: corners of what two bodies have in common, without the slivers that coinciding surfaces leave."""
+    found = [np.zeros((0, 3))]
+    for piece in common.decompose():
+        volume = piece.volume()
+        if volume > SMALLEST_VOLUME and 2 * volume > SMALLEST_THICKNESS * piece.surface_area():
+            found.append(np.asarray(piece.to_mesh64().vert_properties)[:, :3])
+    return np.concatenate(found)
 
 
 def _trimesh(surface: TriangleMesh) -> Any:

@@ -37,12 +37,14 @@ class Floating:
         part, carrier: number of the one among them that is nearest to what is held, and of what it is nearest to;
             None where there is none within 5 cm.
         gap: m between these two.
+        grounded: numbers of those among them that stand on the ground, which is no part of the product.
     """
 
     parts: tuple[int, ...]
     part: int
     carrier: int | None
     gap: float
+    grounded: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +232,7 @@ def _floating(assembly: Assembly, pairs: Sequence[DrawnPair], measured: DrawnPai
             touching[pair.first].add(pair.second)
             touching[pair.second].add(pair.first)
     held = _joined_to({i for i, part in enumerate(assembly.parts) if part.fixed}, touching)
-    left = set(touching) - held
+    left, bottom = set(touching) - held, float(measured.bounds[:, 0, 2].min())
     found = []
     while left:
         group = _joined_to({min(left)}, touching)
@@ -239,7 +241,9 @@ def _floating(assembly: Assembly, pairs: Sequence[DrawnPair], measured: DrawnPai
         part, carrier = min(gaps, key=lambda pair: (gaps[pair], pair))
         known = np.isfinite(gaps[part, carrier])
         gap = gaps[part, carrier] if known else FURTHEST_CARRIER
-        found.append(Floating(tuple(sorted(group)), part, carrier if known else None, gap))
+        members = tuple(sorted(group))
+        grounded = tuple(i for i in members if measured.bounds[i, 0, 2] <= bottom + GROUND)
+        found.append(Floating(members, part, carrier if known else None, gap, grounded))
     return tuple(found)
 
 
