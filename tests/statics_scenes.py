@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -76,6 +76,14 @@ def random_structure(rng: np.random.Generator, count: int) -> Assembly:
         placed.append(box)
         parts.append(block(f"b{k:02d}", box.high - box.low, (box.low + box.high) / 2))
     return Assembly("structure", tuple(parts))
+
+
+def tilted(assembly: Assembly, rng: np.random.Generator) -> Assembly:
+    """The same with its ground on a slope of up to 8 degrees; friction of 0.1 holds up to 5.7."""
+    angle, turn = np.radians(rng.uniform(0.5, 8.0)), rng.uniform(0, 2 * np.pi)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(angle * np.array([np.cos(turn), np.sin(turn), 0.0])).as_matrix()
+    return replace(assembly, parts=tuple(replace(part, T_world_part=T @ part.T_world_part) for part in assembly.parts))
 
 
 def deepest_fall(assembly: Assembly, state: int, seconds: float = SECONDS) -> float:

@@ -20,7 +20,6 @@ from takeapart.stability.patches import ContactPatch, contact_patches
 from takeapart.stability.statics import UNCARRIED, Balance, Statics
 from takeapart.states import members
 
-SHIFT = 1e-3  # m, by which centres of mass may lie elsewhere: what stands only as drawn stands on an edge
 STEADY = 0.98  # share of the friction that is counted on
 
 
@@ -53,14 +52,15 @@ class ContactStability:
     Args:
         assembly: with its friction, contact gap and joints.
         side_force: share of a joint's strength with which each of its points also resists sideways.
-        shift: m, how far centres of mass may move to three sides without anything falling; 0 for plain equilibrium.
+        margin: how much of what is allowed for (`statics.OFF_CENTRE`) centres of mass may lie off, to three sides,
+            without anything falling; 0 for plain equilibrium.
         strength: if given, N: that of every joint, instead of its own.
     """
 
     def __init__(
-        self, assembly: Assembly, side_force: float = 0.0, shift: float = SHIFT, strength: float | None = None
+        self, assembly: Assembly, side_force: float = 0.0, margin: float = 1.0, strength: float | None = None
     ) -> None:
-        self.assembly, self.side_force, self.shift, self.strength = assembly, side_force, shift, strength
+        self.assembly, self.side_force, self.margin, self.strength = assembly, side_force, margin, strength
         self._verdicts: dict[tuple[int, int | None], Verdict] = {}
         self._groups: dict[tuple[int, int | None], Verdict] = {}
         self._lock = threading.Lock()
@@ -195,9 +195,9 @@ class ContactStability:
 
     def _failed(self, loose: list[int], standing: NDArray[np.bool_]) -> Balance | None:
         """The forces nearest to equilibrium where there is none."""
-        if all(self.statics.balance(loose, standing, shift, smooth=True).holds for shift in shifts(self.shift)):
+        if all(self.statics.balance(loose, standing, shift, smooth=True).holds for shift in shifts(self.margin)):
             return None
-        for shift in shifts(self.shift):
+        for shift in shifts(self.margin):
             balance = self.statics.balance(loose, standing, shift)
             if not balance.holds:
                 drawn = self.statics.balance(loose, standing, np.zeros(3))
@@ -206,8 +206,10 @@ class ContactStability:
 
 
 def shifts(size: float) -> list[Array]:
-    """Where centres of mass may lie, (3,) m each: what stands with all of these stands with all between them, since the
-    forces of two equilibria add up to those of a third."""
+    """To which sides centres of mass may lie off, (3,) each.
+
+    What stands with all of these stands with all between them: the forces of two equilibria add up to those of a third.
+    """
     if not size:
         return [np.zeros(3)]
     return [size * np.array([np.cos(turn), np.sin(turn), 0.0]) for turn in np.radians([90.0, 210.0, 330.0])]

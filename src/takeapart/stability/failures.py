@@ -13,7 +13,7 @@ from takeapart.stability.contacts import ContactStability
 from takeapart.stability.statics import Statics
 from takeapart.states import members
 
-Cause = Literal["floats", "joint", "slides", "tips", "drops", "rests"]
+Cause = Literal["floats", "joint", "slides", "tips", "drops", "edge", "rests"]
 GREATEST_FRICTION = 2.0  # where more would be needed, friction is not what lacks
 STRONGEST = 1e4  # times the strength of the joints; the same
 HALVINGS = 20  # of what lies between too little and enough
@@ -27,12 +27,13 @@ class Failure:
     Args:
         part: number of the part.
         cause: it "floats": neither it nor what it touches reaches anything fixed; a "joint" lets go; it "slides"; it
-            "tips" over what carries it; it "drops", since nothing that it touches is below it; it "rests" on parts
-            that fall.
+            "tips" over what carries it; it "drops", since nothing that it touches is below it; it stands on an "edge",
+            so that a centre of mass a little off lets it tip; it "rests" on parts that fall.
         other: number of the part that it leaves or rests on; None for none.
         joint: name of the joint.
         amount: joint: N that each of its points would have to hold; slides: friction that would hold it; tips: m from
-            the centre of mass to what carries the part; floats: how many other parts float with it; else 0.
+            the centre of mass to what carries the part; edge: m off; floats: how many other parts float with it;
+            else 0.
         limit: joint: N that each point holds; slides: the friction there is; else 0.
         missing: share of its weight that nothing carries.
     """
@@ -57,6 +58,9 @@ class Failure:
             return f"{name} comes off {other}: {needed} (joint {self.joint!r})"
         if self.cause == "slides":
             return f"{name} slides off {other}: friction of {self.amount:.2f} would hold it, {self.limit:g} is there"
+        if self.cause == "edge":
+            off = f"with its centre of mass off by {1e3 * self.amount:.1f} mm it tips"
+            return f"{name} stands on an edge of {other}: {off}"
         if self.cause == "drops":
             return f"{name} drops: nothing that it touches is below it"
         if self.cause == "rests":
@@ -87,8 +91,9 @@ def _of_group(
     if not anchored:
         return {part: Failure(part, "floats", amount=len(fallen) - 1, missing=1.0) for part in fallen}
     loose = members(group)
-    by_joint = _weak_joint(stability, loose, standing)
-    friction = None if by_joint else _lacking_friction(stability, loose, standing)
+    balanced = stability.statics.balance(loose, standing, np.zeros(3)).holds
+    by_joint = None if balanced else _weak_joint(stability, loose, standing)
+    friction = None if balanced or by_joint else _lacking_friction(stability, loose, standing)
     found = {}
     for part in fallen:
         if not touched[part]:
@@ -103,8 +108,9 @@ def _of_group(
             found[part] = Failure(part, "slides", held_by, "", friction, stability.assembly.friction, lack[part])
         else:
             other, away = _carrier(stability, part, touched[part])
-            cause: Cause = "drops" if other is None else "tips"
-            found[part] = Failure(part, cause, other, amount=max(away, 0.0), missing=lack[part])
+            cause: Cause = "drops" if other is None else "edge" if balanced else "tips"
+            amount = float(stability.statics.off_centre[part]) if balanced else max(away, 0.0)
+            found[part] = Failure(part, cause, other, amount=amount, missing=lack[part])
     return found
 
 

@@ -23,6 +23,8 @@ from takeapart.stability.wedging import rubbing
 
 GRAVITY = 9.81  # m/s^2
 SIDES = 8  # of a friction cone
+OFF_CENTRE = 0.03  # of the longest edge of a part: how far its centre of mass may lie elsewhere than drawn
+LEAST_OFF_CENTRE, MOST_OFF_CENTRE = 5e-4, 2e-3  # m
 UNCARRIED = 1e-4  # share of a weight; less than this is rounding
 
 
@@ -86,6 +88,8 @@ class Statics:
         self.middles = np.array(
             [part.T_world_part[:3, :3] @ part.shape.center_of_mass() + part.T_world_part[:3, 3] for part in parts]
         )
+        longest = np.array([2 * part.shape.bounding_box().half_extents.max() for part in parts])
+        self.off_centre = np.clip(OFF_CENTRE * longest, LEAST_OFF_CENTRE, MOST_OFF_CENTRE)  # m
         columns: list[_Forces] = []
         for patch, rubs in zip(patches, rubbing(assembly, patches), strict=True):
             pair = patch.first, patch.second
@@ -145,7 +149,7 @@ class Statics:
         Args:
             loose: numbers of the parts that must be carried.
             standing: (parts,) which others stand anyhow: fixed, or held.
-            shift: (3,) m, by which the centres of mass are moved.
+            shift: (3,) by how much of what is allowed for the centres of mass lie elsewhere.
             stronger: joints are this many times as strong as they are.
             smooth: without friction, which is quicker: what stands so stands with it.
         """
@@ -156,7 +160,8 @@ class Statics:
         forces = self.matrix[:, chosen][rows]
         N = len(loose)
         down = np.array([0.0, 0.0, -1.0])
-        load = weights[:, None] / unit * np.concatenate([down, np.cross(shift, down) / self.size])  # (N, 6)
+        moments = self.off_centre[list(loose), None] * np.cross(shift, down) / self.size
+        load = weights[:, None] / unit * np.hstack([np.tile(down, (N, 1)), moments])  # (N, 6)
         lift = csc_array((-load.ravel(), (np.arange(6 * N), np.repeat(np.arange(N), 6))), shape=(6 * N, N))
         limits = self.limits[chosen] * stronger / unit
         upper = np.concatenate([limits, np.ones(N)])
