@@ -207,8 +207,8 @@ def test_grasps_hardly_depend_on_the_tessellation(sections: int) -> None:
     plain, other = (found_on_mesh(part_of(cylinder(n)), cell()) for n in (48, sections))
     assert len(other.candidates) == pytest.approx(len(plain.candidates), rel=0.1)
     best, again = plain.candidates[0].T_part_tool, other.candidates[0].T_part_tool
-    assert again[:3, 2] @ best[:3, 2] > 0.99
-    assert np.linalg.norm(again[:3, 3] - best[:3, 3]) < 0.012
+    assert again[2, 2] == pytest.approx(best[2, 2], abs=0.01)  # its turn about the cylinder's axis does not matter
+    assert again[2, 3] == pytest.approx(best[2, 3], abs=0.012)
     assert other.contact == pytest.approx(plain.contact, rel=0.35)
 
 
