@@ -212,6 +212,23 @@ def test_grasps_hardly_depend_on_the_tessellation(sections: int) -> None:
     assert other.contact == pytest.approx(plain.contact, rel=0.35)
 
 
+@pytest.mark.parametrize("name", ["bracket", "plate", "ring"])
+def test_a_drawing_turned_about_the_vertical_has_the_same_grasps(name: str) -> None:
+    T = pose((0.1, -0.2, 0.0), (math.cos(math.radians(18.5)), 0, 0, math.sin(math.radians(18.5))))
+    turned = BODIES[name].copy()
+    turned.apply_transform(T)
+    plain, other = (found_on_mesh(part_of(body), cell()).candidates for body in (BODIES[name], turned))
+    assert len(other) == pytest.approx(len(plain), rel=0.15)
+    back = pose_inverse(T)
+    for grasp in other[:4]:
+        moved = back @ grasp.T_part_tool
+        assert any(
+            np.linalg.norm(moved[:3, 3] - one.T_part_tool[:3, 3]) < 0.012
+            and abs(moved[2, 2] - one.T_part_tool[2, 2]) < 0.05
+            for one in plain
+        )
+
+
 def test_an_open_mesh_is_gripped_like_a_closed_one() -> None:
     body = BODIES["bracket"].subdivide().subdivide()
     holes = trimesh.Trimesh(body.vertices, np.delete(body.faces, [7, 90], axis=0), process=False)

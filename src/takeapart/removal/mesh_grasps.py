@@ -261,7 +261,7 @@ def _fingers(description: RobotDescription, width: float) -> _Fingers:
             corners = corners * [1, -1, 1]
         (x0, y0, z0), (x1, y1, z1) = corners.min(axis=0), corners.max(axis=0)
         rows.append([x0, x1, z0, z1, y0 - width / 2, y1 - width / 2])
-    bodies = np.unique(np.round(rows, 6), axis=0)
+    bodies = np.unique(np.round(rows, 4), axis=0)  # of both fingers, which mirror each other to less
     face = bodies[np.argmin(np.abs(bodies[:, 4]) - 1e-3 * bodies[:, 3])]
     bodies[:, 4] = np.maximum(bodies[:, 4], 0.0)  # boxes around fingers stand out where the fingers do not
     palm = float(bodies[:, 2].min()) + PALM_SLACK
