@@ -39,6 +39,8 @@ PIXELS = 100  # along the longest side of a map
 FINEST_PIXEL, COARSEST_PIXEL = 0.0004, 0.0015  # m
 WIDTH_STEP = 1e-4  # m; the hand is looked at once for each opening
 SAME_PLACE, SAME_TURN = 0.006, math.cos(math.radians(20))
+LARGE_FLAT, SMALL_FLAT = 0.05, 0.01  # of the surface; flat faces that suggest a closing direction
+NEAR, ROUND = math.cos(math.radians(5)), math.cos(math.radians(14))  # of closing directions that are alike
 SLOPE = math.cos(math.radians(10))  # surfaces steeper to the closing direction do not suggest it
 
 
@@ -104,10 +106,10 @@ def _grasps(
     narrowest, contact, blocked = math.inf, 0.0, False
     chosen: list[tuple[Array, Array]] = []  # frame (3, 3) with rows e1, e2, d, and contacts (N, 5)
     views: list[ContactMap] = []
-    directions = _closing_directions(shape, surface)
-    for d in directions:
+    normals, areas = _normals(surface)
+    for d in _closing_directions(shape, surface, normals, areas):
         axes = _axes_across(d, np.array(down), shape.bounding_box().T_frame_box[:3, :3])
-        view = _view(surface, axes)
+        view = _view(surface, normals, axes)
         pairs = pinches(view, _places(view, axes @ center), least_cosine, 6)
         spans = pairs[:, 3] - pairs[:, 2]
         if len(pairs):
@@ -127,10 +129,10 @@ def _grasps(
             found = touched_areas(
                 view, rows, fingers.pad, fingers.bodies, fingers.palm, spread, GIVES_WAY, least_cosine
             )
-            areas = found[:, :2].min(axis=1)
-            contact = max(contact, float(areas.max(initial=0.0)))
-            blocked = blocked or bool((areas >= LEAST_CONTACT).any())
-            good = (areas >= LEAST_CONTACT) & (found[:, 2] > 0)
+            touched = found[:, :2].min(axis=1)
+            contact = max(contact, float(touched.max(initial=0.0)))
+            blocked = blocked or bool((touched >= LEAST_CONTACT).any())
+            good = (touched >= LEAST_CONTACT) & (found[:, 2] > 0)
             T = _poses(axes, rows[good])
             levers = np.linalg.norm(np.cross(center - T[:, :3, 3], axes[2]), axis=1)
             poses.append(T)
@@ -138,12 +140,12 @@ def _grasps(
                 np.minimum(opening, np.ceil((rows[good, 5] - rows[good, 4]) / WIDTH_STEP - 1e-3) * WIDTH_STEP)
             )
             steep.append(T[:, :3, 2] @ np.array(down))
-            costs.append(levers / size + 0.3 * (1 - areas[good] / fingers.pad_area) + 0.25 * (1 - steep[-1]))
+            costs.append(levers / size + 0.3 * (1 - touched[good] / fingers.pad_area) + 0.25 * (1 - steep[-1]))
     candidates = _spread_out(*(np.concatenate(each) for each in (poses, widths, costs, steep)))
     return MeshGrasps(candidates, narrowest, contact, blocked and not candidates)
 
 
-def _closing_directions(shape: Shape, surface: TriangleMesh) -> Array:
+def _closing_directions(shape: Shape, surface: TriangleMesh, normals: Array, areas: Array) -> Array:
     """Directions (D, 3) along which fingers may close: of the part's box, every 30 degrees around its axes where there
     is a surface across, and of other flat faces; either way is one."""
     R = shape.bounding_box().T_frame_box[:3, :3]
@@ -151,19 +153,15 @@ def _closing_directions(shape: Shape, surface: TriangleMesh) -> Array:
     for k in range(3):
         for n in (1, 2, 4, 5):
             turned.append(math.cos(n * TURN) * R[:, (k + 1) % 3] + math.sin(n * TURN) * R[:, (k + 2) % 3])
-    normals = np.cross(*np.moveaxis(surface.corners[:, 1:] - surface.corners[:, :1], 1, 0))
-    doubled = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(doubled, 1e-300)[:, None]
-    flats, areas = flat_directions(surface)
-    flats = flats[areas >= max(LEAST_CONTACT, 0.01 * doubled.sum() / 2)]
-    candidates = np.concatenate([R.T, flats, np.array(turned)])
+    flats, sizes = flat_directions(surface)
+    large, small = sizes >= LARGE_FLAT * areas.sum(), sizes >= max(LEAST_CONTACT, SMALL_FLAT * areas.sum())
+    wanted = [(d, NEAR) for d in (*R.T, *flats[large])]
+    wanted += [(d, ROUND) for d in (*turned, *flats[small & ~large])]
     found: list[Array] = []
-    for k, d in enumerate(candidates):
+    for k, (d, apart) in enumerate(wanted):
         cosines = normals @ d
-        both = min(float(doubled[cosines > SLOPE].sum()), float(doubled[cosines < -SLOPE].sum())) / 2
-        if (k < 3 or both >= LEAST_CONTACT) and all(
-            abs(float(d @ other)) < math.cos(math.radians(5)) for other in found
-        ):
+        both = min(float(areas[cosines > SLOPE].sum()), float(areas[cosines < -SLOPE].sum()))
+        if (k < 3 or both >= LEAST_CONTACT) and all(abs(float(d @ other)) < apart for other in found):
             found.append(d / np.linalg.norm(d))
     return np.array(found).reshape(-1, 3)
 
@@ -178,10 +176,16 @@ def _axes_across(d: Array, down: Array, R: Array) -> Array:
     raise AssertionError("one of three axes is not parallel to a direction")
 
 
-def _view(surface: TriangleMesh, axes: Array) -> ContactMap:
-    corners = np.ascontiguousarray(surface.corners @ axes.T)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    cosines = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+def _normals(surface: TriangleMesh) -> tuple[Array, Array]:
+    """Outward unit normals (T, 3) and areas (T,), m^2."""
+    normals = np.cross(*np.moveaxis(surface.corners[:, 1:] - surface.corners[:, :1], 1, 0))
+    doubled = np.linalg.norm(normals, axis=1)
+    return normals / np.maximum(doubled, 1e-300)[:, None], doubled / 2
+
+
+def _view(surface: TriangleMesh, normals: Array, axes: Array) -> ContactMap:
+    vertices = surface.vertices @ axes.T
+    corners, cosines = vertices[surface.triangles], normals @ axes[2]
     low, high = corners[:, :, :2].min(axis=(0, 1)), corners[:, :, :2].max(axis=(0, 1))
     pixel = float(np.clip((high - low).max() / PIXELS, FINEST_PIXEL, COARSEST_PIXEL))
     shape = np.ceil((high - low) / pixel).astype(np.int32) + 1
@@ -257,7 +261,7 @@ def _fingers(description: RobotDescription, width: float) -> _Fingers:
             corners = corners * [1, -1, 1]
         (x0, y0, z0), (x1, y1, z1) = corners.min(axis=0), corners.max(axis=0)
         rows.append([x0, x1, z0, z1, y0 - width / 2, y1 - width / 2])
-    bodies = np.unique(np.round(rows, 6), axis=0)
+    bodies = np.unique(np.round(rows, 4), axis=0)  # of both fingers, which mirror each other to less
     face = bodies[np.argmin(np.abs(bodies[:, 4]) - 1e-3 * bodies[:, 3])]
     bodies[:, 4] = np.maximum(bodies[:, 4], 0.0)  # boxes around fingers stand out where the fingers do not
     palm = float(bodies[:, 2].min()) + PALM_SLACK
