@@ -71,7 +71,9 @@ class Contacts:
     def body(self, part: int) -> Body:
         """Field and surface of a part; equal shapes share theirs."""
         shape = self._assembly.parts[part].shape
-        key: object = shape.hash if isinstance(shape, Mesh) else shape if isinstance(shape, Box) else id(shape)
+        key: object = (
+            shape.hash if isinstance(shape, Mesh) else tuple(shape.size) if isinstance(shape, Box) else id(shape)
+        )
         if key not in self._shapes:
             self._shapes[key] = body_of(shape)
         return self._shapes[key]

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import Box, OrientedBox
+from takeapart.model.geometry import Array, Box, OrientedBox
 from takeapart.removal.grasps import LEAST_CONTACT, MeshGrasps, Unholdable, found_on_mesh, is_box, ungraspable
 from takeapart.removal.lifting import contact_height, lift_distance
 from takeapart.removal.planner import RemovalPlanner
@@ -28,6 +28,7 @@ from takeapart.workcell import GRAVITY
 
 Cause = Literal["gravity", "lift", "weight", "slip", "width", "contact", "fingers", "hand", "reach", "arm", "path"]
 ITSELF = "the part itself"
+MOST_DIRECTIONS = 6  # told of a part that cannot get out
 AT_ONCE = 1e-5  # m; what is hit sooner lies on the part
 Numbers = tuple[tuple[str, float], ...]
 
@@ -162,6 +163,8 @@ class Reasons:
         return Reason("grasp", "width", text, (("width", width), ("other_width", other), ("opening", opening)))
 
     def _lift(self, blocked: Blocked, present: int) -> Reason:
+        if not self._assembly.is_lifted:
+            return self._exits(blocked, present)
         part, height = blocked.part, self._workcell.lift_height
         mask = (self.named.exits.exits(part)[0].blockers or 0) & present
         own = self._boxes(part)
@@ -175,6 +178,21 @@ class Reasons:
         text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(told)}"
         blamed = self._blamed(blocked, [mask & self._permanent])
         return Reason("lift", "lift", text, (("lift_height", height),), tuple(hits), blamed)
+
+    def _exits(self, blocked: Blocked, present: int) -> Reason:
+        """Every way out meets something: which, and after how far."""
+        ways, told, first = self.named.exits.exits(blocked.part), [], dict[str, float]()
+        for way in ways:
+            hits = [(self._bodies[i], after) for i, after in way.hits if present >> i & 1]
+            if hits and way.direction is not None:
+                name, after = hits[0]
+                told.append(f"{_direction(way.direction)} it hits {name} after {millimetres(after)}")
+                for name, after in hits:
+                    first[name] = min(after, first.get(name, after))
+        hits = sorted(first.items(), key=lambda hit: hit[1])
+        text = f"no straight way out is free: {'; '.join(told[:MOST_DIRECTIONS])}" if told else "no way out is free"
+        blamed = self._blamed(blocked, [(way.blockers or 0) & self._permanent & present for way in ways])
+        return Reason("lift", "lift", text, (("directions", len(ways)),), tuple(hits), blamed)
 
     def _boxes(self, body: int) -> list[OrientedBox]:
         """Of a body, in the world frame."""
@@ -238,6 +256,15 @@ class Reasons:
             for name in self._names(mask):
                 counts[name] += 1
         return sorted([each for each in counts.items() if each[1]], key=lambda each: -each[1])
+
+
+def _direction(direction: Array) -> str:
+    """In words where there are some."""
+    for name, axis in (("up", (0, 0, 1)), ("down", (0, 0, -1))):
+        if float(direction @ np.array(axis)) > 1 - 1e-9:
+            return name
+    x, y, z = np.round(direction, 2) + 0.0
+    return f"along ({x:g}, {y:g}, {z:g})"
 
 
 def _least(blamed: Sequence[str], counts: Sequence[tuple[str, int]], total: int) -> str:
