@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -133,3 +135,23 @@ def test_a_tight_box_is_near_the_smallest() -> None:
         box = tight_box(surface_of(hull))
         assert is_held((box,), np.asarray(hull.vertices)).all()
         assert 8 * box.half_extents.prod() <= 1.1 * np.prod(trimesh.bounds.oriented_bounds(hull)[1])
+
+
+CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
+
+
+@pytest.mark.parametrize("case", ["fabrica_plumbers_block", "fabrica_duct"])
+def test_parts_that_others_drew_are_in_their_boxes(case: str) -> None:
+    files = sorted((CASES / case).glob("*.obj"))[:3]
+    if not files:
+        pytest.skip(f"{CASES / case} is not there")
+    for file in files:
+        body = trimesh.load_mesh(file)
+        surface = surface_of(body)
+        cover = cover_of(surface)
+        assert (
+            is_held(cover.boxes, body.sample(3000, seed=3)).all()
+            and is_held(cover.boxes, np.asarray(body.vertices)).all()
+        )
+        assert len(cover.boxes) <= 96
+        assert is_held((tight_box(surface),), np.vstack([box.corners() for box in cover.boxes])).all()  # none is round

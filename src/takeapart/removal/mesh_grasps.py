@@ -186,7 +186,7 @@ def _normals(surface: TriangleMesh) -> tuple[Array, Array]:
 def _view(surface: TriangleMesh, normals: Array, axes: Array) -> ContactMap:
     vertices = surface.vertices @ axes.T
     corners, cosines = vertices[surface.triangles], normals @ axes[2]
-    low, high = corners[:, :, :2].min(axis=(0, 1)), corners[:, :, :2].max(axis=(0, 1))
+    low, high = corners.reshape(-1, 3).min(axis=0)[:2], corners.reshape(-1, 3).max(axis=0)[:2]
     pixel = float(np.clip((high - low).max() / PIXELS, FINEST_PIXEL, COARSEST_PIXEL))
     shape = np.ceil((high - low) / pixel).astype(np.int32) + 1
     origin = (low + high) / 2 - shape * pixel / 2
