@@ -96,7 +96,7 @@ def test_counterweight_that_leaves_lets_a_plank_fall() -> None:
     assert reasons(scene, ["weight"])["plank"] == (
         "'plank' tips over 'wall': its centre of mass lies 10.0 mm beyond it"
     )
-    assert reasons(scene, ["plank"])["weight"] == "'weight' floats: nothing else is within 0.5 mm"
+    assert reasons(scene, ["plank"])["weight"] == "'weight' floats: nothing carries it within 0.5 mm"
 
 
 def test_bar_on_two_supports_needs_both_and_what_rests_on_it_falls_too() -> None:
@@ -296,7 +296,7 @@ def test_product_that_falls_as_drawn_is_refused_with_what_would_carry_it() -> No
     )
     with pytest.raises(InputError) as caught:
         require_standing(high)
-    assert "'b' floats with 1 more that it touches: nothing else is within 0.5 mm (and 1 more falls)" in str(
+    assert "'b' floats with 1 more that it touches: nothing carries them within 0.5 mm (and 1 more falls)" in str(
         caught.value
     )
     assert "with a contact gap of 2 mm everything stands" in str(caught.value)

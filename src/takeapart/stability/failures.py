@@ -52,7 +52,8 @@ class Failure:
         other = "" if self.other is None else repr(assembly.parts[self.other].name)
         if self.cause == "floats":
             more = f" with {self.amount:.0f} more that it touches" if self.amount else ""
-            return f"{name} floats{more}: nothing else is within {1e3 * assembly.contact_gap:g} mm"
+            them = "them" if self.amount else "it"
+            return f"{name} floats{more}: nothing carries {them} within {1e3 * assembly.contact_gap:g} mm"
         if self.cause == "joint":
             needed = f"it would have to hold {self.amount:.3g} N at each point and holds {self.limit:.3g} N"
             return f"{name} comes off {other}: {needed} (joint {self.joint!r})"

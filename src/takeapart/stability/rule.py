@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
@@ -14,6 +15,7 @@ from takeapart.stability.failures import Failure, failures
 WIDER_GAPS = (1e-3, 2e-3, 5e-3)  # m; what is tried where a product does not stand as drawn
 
 
+@lru_cache(maxsize=8)  # contacts of meshes take seconds, and several ask for the same product
 def stability_of(assembly: Assembly) -> ConnectorStability | ContactStability:
     """Connectors say what falls where they carry every part of a product of boxes; statics by contact elsewhere."""
     if assembly.connectors and not assembly.has_meshes and not unsupported(assembly):
