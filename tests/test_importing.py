@@ -337,6 +337,38 @@ def test_broken_input_ends_in_one_line(tmp_path: Path, kind: str, message: str) 
     assert not (tmp_path / "out").exists()
 
 
+def test_too_many_triangles_become_fewer_only_when_that_is_asked_for(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=7, radius=0.05)  # 327,680 triangles
+    written(tmp_path / "in", "ball", ball)
+    written(tmp_path / "in", "plate", box((0.1, 0.1, 0.01), (0.0, 0.0, -0.0552)))
+    assert "--simplify" in refusal(run(tmp_path / "in", "--unit", "m", "--out", tmp_path / "out"))
+    result = run(tmp_path / "in", "--unit", "m", "--simplify", "0.1mm", "--out", tmp_path / "out")
+    assert result.exit_code == 0 and "ball: simplified from 327680 to" in result.stderr
+    shape = load_assembly(tmp_path / "out" / "assembly.json").parts[0].shape
+    assert isinstance(shape, Mesh) and shape.is_closed and len(shape.surface().triangles) < 20_000
+    radii = np.linalg.norm(shape.surface().vertices, axis=1)
+    assert np.abs(radii - 0.05).max() < 1.5e-4 and shape.volume() == pytest.approx(ball.volume, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CASES.exists(), reason="the cases are not beside this checkout")
+@pytest.mark.parametrize(("unit", "factor"), [("$,.METRE.", 0), (".CENTI.,.METRE.", 10.0)])
+def test_the_unit_of_a_step_file_counts(tmp_path: Path, unit: str, factor: float) -> None:
+    pytest.importorskip("cascadio")
+    text = (CASES / "step_aero" / "AeroAssembly.step").read_text()
+    (tmp_path / "a.step").write_text(text.replace(".MILLI.,.METRE.", unit))
+    if not factor:
+        with pytest.raises(InputError, match="m long: wrong unit"):
+            import_product(tmp_path / "a.step", deflection=1e-2)
+        return
+    found = import_product(tmp_path / "a.step", deflection=2e-3)
+    surfaces = [part.shape.surface().moved(part.T_world_part).bounds for part in found.assembly.parts]
+    assert found.unit == "cm, as the file says" and np.ptp(np.array(surfaces), axis=(0, 1)).max() > 1.0
+    replaced = import_product(tmp_path / "a.step", unit="mm", deflection=2e-3).assembly
+    for a, b in zip(found.assembly.parts, replaced.parts, strict=True):
+        assert np.abs(a.T_world_part[:3, 3] - 10 * b.T_world_part[:3, 3]).max() < 1e-6
+
+
 def test_what_was_there_stays_when_an_import_fails(tmp_path: Path) -> None:
     assert run(bench(tmp_path / "in"), "--unit", "m", "--out", tmp_path / "out").exit_code == 0
     before: dict[Path, Any] = {file: file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()}
