@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,15 @@ def test_what_stands_on_the_ground_beside_the_product_is_told_apart(tmp_path: Pa
     result = run(tmp_path / "in", "--unit", "m", "--contact-gap", "2mm", "--out", tmp_path / "out")
     said = "lamp floats: the ground that lamp stands on is no part; with --fix lamp it stays\n"
     assert result.exit_code == 0 and result.stderr == said
+
+
+def test_the_example_of_the_document_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    bench(tmp_path / "parts", 1000.0)
+    text = (Path(__file__).resolve().parents[1] / "docs" / "products.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    exec(compile(example, "products.md", "exec"), {})
+    assert len(load_assembly(tmp_path / "product" / "assembly.json").parts) == 4
 
 
 def test_no_part_of_a_name_is_said(tmp_path: Path) -> None:
