@@ -90,6 +90,7 @@ LENGTH = Millimetres()
     show_default=True,
     help="Largest distance between the surfaces of a STEP file and their triangles.",
 )
+@click.option("--simplify", type=LENGTH, default=0.0, help="How far closed surfaces may move to have fewer faces.")
 @json_option
 def import_product(
     source: Path,
@@ -101,6 +102,7 @@ def import_product(
     allow_overlap: tuple[str, ...],
     ground: bool,
     deflection: float,
+    simplify: float,
     as_json: bool,
 ) -> None:
     """Make a product of a STEP file, or of a folder of meshes in their places.
@@ -113,11 +115,13 @@ def import_product(
 
     if not 1e-6 <= deflection <= 0.01:
         raise InputError(f"{1e3 * deflection:g} mm; must be from 0.001mm to 10mm", "--deflection")
+    if simplify > 0.01:
+        raise InputError(f"{1e3 * simplify:g} mm; must be at most 10mm", "--simplify")
     file = out / "assembly.json"
     require_output(file, source)
     pairs = [_pair(text) for text in allow_overlap]
     with progress_bar(f"importing {source.name}") as update:
-        found = read_product(source, unit, fix, density, contact_gap, pairs, ground, deflection, update)
+        found = read_product(source, unit, fix, density, contact_gap, pairs, ground, deflection, simplify, update)
     save_assembly(found.assembly, file)
     load_assembly(file)  # what was written is read again
     if as_json:

@@ -12,7 +12,7 @@ from takeapart.formats.importing.drawn import NAMELESS, DrawnBody, mended
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, rotation_from_quaternion
 
-MAXIMUM_NODES = 100_000
+MAXIMUM_NODES = 20_000
 INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 FLOATS, TRIANGLES = 5126, 4
 

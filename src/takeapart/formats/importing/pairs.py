@@ -17,7 +17,8 @@ from takeapart.model.geometry import Array, TriangleMesh
 from takeapart.model.meshes import Mesh
 
 NEAR = 5e-3  # m; pairs further apart than this are not looked at
-SAMPLES = 3000  # corners of a surface that are looked at
+SAMPLES = 5000  # corners of a surface that are looked at
+POINTS_APART = 5e-4  # m, on what two parts have in common
 SMALLEST_VOLUME = 1e-15  # m^3; less is rounding
 SMALLEST_THICKNESS = 1e-6  # m, of an overlap: twice its volume over its area; less is contact
 
@@ -73,15 +74,15 @@ class DrawnPairs:
             return min(self._corner_gap(a, b, furthest), self._corner_gap(b, a, furthest)), float("nan")
         first, second = self._body(a), self._body(b)
         if self._bounds_gap(a, b) <= 0:
-            corners = _corners_of(first ^ second)
-            if len(corners):
-                return 0.0, self._depth(a, b, corners)
+            points = _points_of(first ^ second)
+            if len(points):
+                return 0.0, self._depth(a, b, points)
         gap = float(first.min_gap(second, 1.05 * furthest + 1e-6))
         return (gap, 0.0) if gap <= furthest else (np.inf, 0.0)
 
-    def _depth(self, a: int, b: int, corners: Array) -> float:
-        """How deep the corners of what is in both, each on one of the surfaces, lie inside the other one."""
-        return max(float(self._distances(i, corners).max()) for i in (a, b))
+    def _depth(self, a: int, b: int, points: Array) -> float:
+        """How deep points on what is in both, each on one of the surfaces, lie inside the other one."""
+        return max(float(self._distances(i, points).max()) for i in (a, b))
 
     def _distances(self, i: int, points: Array) -> Array:
         import trimesh
@@ -113,13 +114,18 @@ class DrawnPairs:
         return gap if gap <= furthest else np.inf
 
 
-def _corners_of(common: Any) -> Array:
-    """(N, 3) m: corners of what two bodies have in common, without the slivers that coinciding surfaces leave."""
+def _points_of(common: Any) -> Array:
+    """(N, 3) m: points all over what two bodies have in common, without the slivers that coinciding surfaces leave."""
+    import trimesh
+
     found = [np.zeros((0, 3))]
     for piece in common.decompose():
         volume = piece.volume()
         if volume > SMALLEST_VOLUME and 2 * volume > SMALLEST_THICKNESS * piece.surface_area():
-            found.append(np.asarray(piece.to_mesh64().vert_properties)[:, :3])
+            mesh = piece.to_mesh64()
+            corners, triangles = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64)
+            between = max(POINTS_APART, float(np.ptp(corners, axis=0).max()) / 40)
+            found.append(trimesh.remesh.subdivide_to_size(corners, triangles, between, max_iter=20)[0])
     return np.concatenate(found)
 
 

@@ -79,6 +79,7 @@ def import_product(
     allow_overlap: Sequence[tuple[str, str]] = (),
     ground: bool = False,
     deflection: float = DEFLECTION,
+    simplify: float = 0.0,
     progress: Callable[[str, float | None], None] = lambda text, share: None,
 ) -> ImportedProduct:
     """A product from a STEP file, a mesh file, or a folder of meshes in their places.
@@ -91,6 +92,7 @@ def import_product(
         allow_overlap: pairs of names of parts that overlap and are meant to.
         ground: whether the product is moved so that its lowest point is at z = 0.
         deflection: m, between the surfaces of a STEP file and their triangles.
+        simplify: m, that closed surfaces may move by to have fewer triangles; 0 leaves them as they are.
         progress: told what is done at the moment, and how much of it.
 
     Raises:
@@ -101,11 +103,11 @@ def import_product(
     progress("reading", None)
     bodies, metres, words = drawn_bodies(file, unit, deflection)
     names = valid_names([body.name for body in bodies])
-    surfaces, placed = _placed(bodies, metres, names, shown(path), progress)
-    low, high = _bounds(surfaces, placed)
-    _require_size(high - low, shown(path))
+    _require_size(_drawn_size(bodies, metres), shown(path))
+    surfaces, placed = _placed(bodies, metres, names, shown(path), simplify, progress)
     if ground:
-        placed = [_lifted(T, -low[2]) for T in placed]
+        bottom = min(float(_world(s, T)[:, 2].min()) for s, T in zip(surfaces, placed, strict=True))
+        placed = [_lifted(T, -bottom) for T in placed]
     masses = [max(LEAST_MASS, density * _volume(surface.mesh)) for surface in surfaces]
     lowest = [float(_world(s, T)[:, 2].min()) for s, T in zip(surfaces, placed, strict=True)]
     fixed, because = _fixed(names, [body.name for body in bodies], masses, lowest, fix)
@@ -139,6 +141,7 @@ def _placed(
     metres: float,
     names: Sequence[str],
     where: str,
+    simplify: float,
     progress: Callable[[str, float | None], None],
 ) -> tuple[list[Surface], list[Array]]:
     """Shapes and proper poses; instances of one shape have one object, a mirrored instance has its own."""
@@ -153,7 +156,7 @@ def _placed(
         key = (body.shape, *np.round(linear, 9).ravel().tolist())
         if key not in known:
             turned = body.triangles[:, ::-1] if np.linalg.det(linear) < 0 else body.triangles
-            found = surface_of(metres * (body.vertices @ linear.T), turned, f"{where}: {names[number]}")
+            found = surface_of(metres * (body.vertices @ linear.T), turned, f"{where}: {names[number]}", simplify)
             mesh = by_content.setdefault(found.mesh.hash, found.mesh)
             known[key] = Surface(mesh, found.middle, found.remarks)
         surface = known[key]
@@ -168,9 +171,16 @@ def _world(surface: Surface, T: Array) -> Array:
     return np.asarray(surface.mesh.surface().moved(T).vertices)
 
 
-def _bounds(surfaces: Sequence[Surface], placed: Sequence[Array]) -> tuple[Array, Array]:
-    corners = [_world(surface, T) for surface, T in zip(surfaces, placed, strict=True)]
-    return np.min([c.min(axis=0) for c in corners], axis=0), np.max([c.max(axis=0) for c in corners], axis=0)
+def _drawn_size(bodies: Sequence[DrawnBody], metres: float) -> float:
+    """Longest edge of the bounds of all bodies, m; what is not a number is left for the surfaces to find."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for body in bodies:
+        named = body.triangles.ravel()
+        used = body.vertices[named[(named >= 0) & (named < len(body.vertices))]]
+        used = used[np.isfinite(used).all(axis=1)] @ body.T_world_body[:3, :3].T + body.T_world_body[:3, 3]
+        if len(used):
+            low, high = np.minimum(low, used.min(axis=0)), np.maximum(high, used.max(axis=0))
+    return metres * float((high - low).max())
 
 
 def _lifted(T: Array, height: float) -> Array:
@@ -179,11 +189,10 @@ def _lifted(T: Array, height: float) -> Array:
     return moved
 
 
-def _require_size(size: Array, where: str) -> None:
-    longest = float(size.max())
+def _require_size(longest: float, where: str) -> None:
     if longest > LONGEST:
         raise InputError(f"{longest:.3g} m long: wrong unit? At most {LONGEST:g} m is valid; see --unit", where)
-    if longest < SHORTEST:
+    if 0 <= longest < SHORTEST:
         raise InputError(
             f"{1e3 * longest:.3g} mm long: wrong unit? At least {1e3 * SHORTEST:g} mm is valid; see --unit", where
         )

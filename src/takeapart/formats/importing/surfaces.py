@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.model.errors import InputError
+from takeapart.model.errors import InputError, MissingExtraError
 from takeapart.model.geometry import Array, TriangleMesh
 from takeapart.model.meshes import MOST_TRIANGLES, Mesh
 
@@ -30,20 +30,21 @@ class Surface:
     remarks: tuple[str, ...]
 
 
-def surface_of(vertices: Array, triangles: NDArray[np.int64], where: str) -> Surface:
+def surface_of(vertices: Array, triangles: NDArray[np.int64], where: str, simplify: float = 0.0) -> Surface:
     """The shape of a drawn body.
 
     Args:
         vertices: (V, 3) m.
         where: for messages.
+        simplify: m; a closed surface may move by this much to have fewer triangles; 0 leaves it as it is.
 
     Raises:
         InputError: not a number, a corner that is not there, no triangles, too many, or no extent.
     """
-    if len(triangles) > MOST_TRIANGLES:
+    if len(triangles) > MOST_TRIANGLES and not simplify:
         raise InputError(
             f"{len(triangles)} triangles; at most {MOST_TRIANGLES} are allowed in one part: "
-            "export it coarser, or simplify it before",
+            "export it coarser, or give --simplify 0.1mm",
             where,
         )
     if len(triangles) and (triangles.min() < 0 or triangles.max() >= len(vertices)):
@@ -55,9 +56,11 @@ def surface_of(vertices: Array, triangles: NDArray[np.int64], where: str) -> Sur
     triangles = triangles[~flat]
     if not len(triangles):
         raise InputError("has no triangle with an area", where)
+    remarks: list[str] = []
+    if simplify:
+        vertices, triangles = _simplified(vertices, triangles, simplify, remarks)
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     local = np.round(vertices - middle, GRID) + 0.0
-    remarks: list[str] = []
     try:
         mesh = Mesh(TriangleMesh(local, triangles.astype(np.int32)))
         if not mesh.is_closed:
@@ -70,6 +73,25 @@ def surface_of(vertices: Array, triangles: NDArray[np.int64], where: str) -> Sur
     if not mesh.is_closed:
         remarks.append(f"open: {open_edges(mesh)} edges do not join two triangles; its inside is not known")
     return Surface(mesh, middle, tuple(remarks))
+
+
+def _simplified(
+    vertices: Array, triangles: NDArray[np.int64], within: float, remarks: list[str]
+) -> tuple[Array, NDArray[np.int64]]:
+    """Fewer triangles, each within a distance (m) of the surface, where that is closed."""
+    try:
+        import manifold3d
+    except ImportError:
+        raise MissingExtraError("import --simplify", "cad", "manifold3d") from None
+    body = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertices), triangles.astype(np.uint64)))
+    if body.status() != manifold3d.Error.NoError or body.is_empty():
+        remarks.append("not simplified: only a closed surface can be")
+        return vertices, triangles
+    found = body.simplify(within).to_mesh64()
+    if len(found.tri_verts) < len(triangles):
+        remarks.append(f"simplified from {len(triangles)} to {len(found.tri_verts)} faces, within {1e3 * within:g} mm")
+        return np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts).astype(np.int64)
+    return vertices, triangles
 
 
 def _joined(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
