@@ -17,7 +17,7 @@ import numpy as np
 from takeapart.model.assembly import Part
 from takeapart.model.bounding import flat_directions
 from takeapart.model.description import RobotDescription
-from takeapart.model.geometry import Array, Shape, TriangleMesh, pose_inverse
+from takeapart.model.geometry import Array, OrientedBox, Shape, TriangleMesh, pose_inverse
 from takeapart.removal.candidates import GraspCandidate
 from takeapart.removal.contact_maps import ContactMap, crossings, lengths_along, lengths_behind, pinches, touched_areas
 from takeapart.robot.arrays import Integers
@@ -29,9 +29,10 @@ MOST_OVERHANG = 0.012  # m; the tool's point stands no farther outside of the pa
 PALM_SLACK = 0.001  # m, that the palm keeps off the part at least
 TIP_MARGIN = 0.002  # m, by which the fingers' tips end before the part does, where they reach that far
 TURN = math.pi / 6  # between approach directions around a closing direction
-MOST_POSES = 60  # of a part; each in both finger orders
+MOST_POSES = 240  # of a part; each in both finger orders
 # From which steepness downwards: how many poses of a kind are taken at a time, and of all kinds while others are left.
-TURNS = ((0.7, 4, 30), (-0.3, 2, 22), (-math.inf, 1, 8))
+TURNS = ((0.7, 4, 120), (-0.3, 2, 88), (-math.inf, 1, 32))
+SHALLOWER = (0.006, 0.012, 0.018, 0.026, 0.036)  # m, by which the fingers also reach less deep
 CONTACTS = 5  # that are looked at along an approach direction
 STRIDES = 40  # of pixels along the longest side of a map, where the palm would be
 PLACES = 9  # of a direction, along the longer side of the map
@@ -133,6 +134,7 @@ def _grasps(
             contact = max(contact, float(touched.max(initial=0.0)))
             blocked = blocked or bool((touched >= LEAST_CONTACT).any())
             good = (touched >= LEAST_CONTACT) & (found[:, 2] > 0)
+            good &= _overhang(shape.bounding_box(), _poses(axes, rows)[:, :3, 3]) <= MOST_OVERHANG
             T = _poses(axes, rows[good])
             levers = np.linalg.norm(np.cross(center - T[:, :3, 3], axes[2]), axis=1)
             poses.append(T)
@@ -233,7 +235,10 @@ def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> 
     retracts = (surfaces < tip) & (back <= MOST_OVERHANG)
     stays = (body >= tip) | ~retracts
     tries = []
-    for used, offset in ((stays, np.zeros_like(back)), (retracts, back)):
+    depths = [(stays, np.zeros_like(back)), (retracts, back)]
+    for less in SHALLOWER:  # what stands beside the part may leave room for the fingers' tips alone
+        depths.append((surfaces < tip + less, np.where(retracts, back, 0.0) + less))
+    for used, offset in depths:
         at = contacts[chosen, :2] - offset[:, None] * ways[way]
         tries.append(np.column_stack([at, ways[way], contacts[chosen, 2:]])[used])
     return np.concatenate(tries)
@@ -277,6 +282,12 @@ def _poses(axes: Array, grasps: Array) -> Array:
     T[:, :3, 3] = np.column_stack([grasps[:, :2], (grasps[:, 4] + grasps[:, 5]) / 2]) @ axes
     T[:, 3, 3] = 1.0
     return T
+
+
+def _overhang(box: OrientedBox, points: Array) -> Array:
+    """By how much points (K, 3) stand out of a box, m (K,): along the axis along which it is most."""
+    local = (points - box.T_frame_box[:3, 3]) @ box.T_frame_box[:3, :3]
+    return np.asarray((np.abs(local) - box.half_extents).max(axis=1))
 
 
 def _spread_out(poses: Array, widths: Array, costs: Array, steep: Array) -> tuple[GraspCandidate, ...]:
