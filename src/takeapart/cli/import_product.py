@@ -62,7 +62,7 @@ LENGTH = Millimetres()
     epilog=examples(
         "takeapart import gearbox.step --out gearbox/",
         "takeapart import parts/ --unit mm --fix base --out product/",
-        "takeapart import duct/ --unit m --contact-gap 2mm --allow-overlap clip,duct --out duct/product",
+        "takeapart import duct/ --unit m --contact-gap 2mm --out duct/product",
     ),
 )
 @click.argument("source", metavar="FILE|FOLDER", type=FILE)
