@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.model.geometry import Array, Box, OrientedBox, pose
 from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.verification.report import Finding, VerificationOptions
 from takeapart.workcell import Workcell
@@ -119,6 +119,12 @@ def check_grasp(
         message = f"opening {1e3 * width:.2f} mm is beyond the gripper's 0 to {1e3 * maximum_opening:.0f} mm"
         findings.append(Finding(k, step.part, 0.0, "width", message, max(width - maximum_opening, -width)))
     T_world_grasp = grasp_pose(step.grasp)
+    if not isinstance(part.shape, Box):  # where its surface is, the pads are measured
+        away = _depth_outside(part.shape.bounding_box().moved(part.T_world_part), T_world_grasp[:3, 3])
+        if away > options.position_tolerance:
+            message = f"the grasp centre lies outside the box around part {part.name!r}"
+            findings.append(Finding(k, step.part, 0.0, "grasp", message, away))
+        return findings
     boxes = part.boxes_in_world()
     outside = [_depth_outside(box, T_world_grasp[:3, 3]) for box in boxes]
     box = boxes[int(np.argmin(outside))]
@@ -186,9 +192,19 @@ def check_total(plan: Plan, options: VerificationOptions) -> list[Finding]:
     return [Finding(None, "", None, "total_length", message, error)]
 
 
+def leaves_freely(assembly: Assembly) -> bool:
+    """Whether parts may leave in any direction: products with meshes or without connectors. In the others a removal
+    begins with a straight lift."""
+    return assembly.has_meshes or not assembly.connectors
+
+
 def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
     """Sum over the removable parts, m, of the lift and the distance that is left from the nearest point of the part to
-    the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter."""
+    the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter. Where parts leave
+    freely there is no lift, and the point is one of the bounding box."""
+    if leaves_freely(assembly):
+        boxes = [part.shape.bounding_box().moved(part.T_world_part) for part in assembly.parts if not part.fixed]
+        return sum(_depth_outside(box, workcell.goal) for box in boxes)
     before_the_lift = workcell.goal - np.array([0.0, 0.0, workcell.lift_height])  # (3,) m, in the world
     bound = 0.0
     for part in assembly.parts:
