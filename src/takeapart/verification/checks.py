@@ -192,17 +192,11 @@ def check_total(plan: Plan, options: VerificationOptions) -> list[Finding]:
     return [Finding(None, "", None, "total_length", message, error)]
 
 
-def leaves_freely(assembly: Assembly) -> bool:
-    """Whether parts may leave in any direction: products with meshes or without connectors. In the others a removal
-    begins with a straight lift."""
-    return assembly.has_meshes or not assembly.connectors
-
-
 def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
     """Sum over the removable parts, m, of the lift and the distance that is left from the nearest point of the part to
     the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter. Where parts leave
     freely there is no lift, and the point is one of the bounding box."""
-    if leaves_freely(assembly):
+    if not assembly.is_lifted:
         boxes = [part.shape.bounding_box().moved(part.T_world_part) for part in assembly.parts if not part.fixed]
         return sum(_depth_outside(box, workcell.goal) for box in boxes)
     before_the_lift = workcell.goal - np.array([0.0, 0.0, workcell.lift_height])  # (3,) m, in the world

@@ -11,7 +11,7 @@ import numpy as np
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, Box, pose_inverse, rotation_from_quaternion
 from takeapart.model.plan import PlanStep
-from takeapart.verification.checks import grasp_pose, leaves_freely, path_length
+from takeapart.verification.checks import grasp_pose, path_length
 from takeapart.verification.model import Scene, part_in_tool
 from takeapart.verification.report import Clearance, Finding, VerificationOptions
 from takeapart.workcell import Workcell
@@ -55,7 +55,7 @@ class Replay:
         self.options = options
         self.clearance = options.demanded_clearance(workcell)  # m
         self.scene = Scene(assembly, workcell, max(options.sight, self.clearance + 2 * ROUGHNESS))
-        self.lifts = not leaves_freely(assembly)
+        self.lifts = assembly.is_lifted
         self.meshes: MeshReplay | None = None
         if assembly.has_meshes:
             from takeapart.verification.mesh_replay import MeshReplay
