@@ -112,3 +112,20 @@ def test_open_meshes_are_judged_by_where_they_cross() -> None:
     found = judged(replace(mesh_scene(), parts=(*mesh_scene().parts, lid)))
     assert any("part/lid" in f.message for f in found.findings)
     assert np.isfinite([f.depth for f in found.findings]).all()
+
+
+def test_a_plan_whose_hashes_are_of_other_meshes_is_refused() -> None:
+    found = verify_plan(
+        mesh_plan(mesh_scene()), mesh_scene(), scene_workcell(), hashes={**HASHES, "assembly": "0" * 64}
+    )
+    assert "hash" in {f.check for f in found.findings}
+
+
+def test_the_bound_of_meshes_is_straight_to_the_goal() -> None:
+    """From the box around each bar, 12 mm larger, without a lift."""
+    goal = np.array([-0.05, -0.30, 0.42])
+    boxes = [([0.10, 0, 0.19], [0.02, 0.299, 0.02]), ([0.025, 0, 0.19], [0.129, 0.02, 0.02])]
+    boxes.append(([0.12, 0.40, 0.11], [0.02, 0.16, 0.02]))
+    away = [np.maximum(np.abs(goal - c) - np.array(s) / 2 - 0.012, 0) for c, s in boxes]
+    expected = float(np.linalg.norm(away, axis=1).sum())
+    assert straight_line_bound(mesh_scene(), scene_workcell()) == pytest.approx(expected, abs=1e-9)

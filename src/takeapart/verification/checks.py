@@ -22,6 +22,7 @@ ORIGINS = ("assembly", "workcell")
 DIRECTIONS = ("disassembly", "assembly")
 STANDARD_GRAVITY = 9.80665  # m/s^2
 EQUAL_EDGES = 1e-3  # m; a part whose two longest edges differ by no more has no long axis
+BESIDE_MESH = 0.012  # m; the tool grips a mesh from no farther outside the box around it
 NOTHING_BELOW = "anything to rest on"
 
 
@@ -120,9 +121,9 @@ def check_grasp(
         findings.append(Finding(k, step.part, 0.0, "width", message, max(width - maximum_opening, -width)))
     T_world_grasp = grasp_pose(step.grasp)
     if not isinstance(part.shape, Box):  # where its surface is, the pads are measured
-        away = _depth_outside(part.shape.bounding_box().moved(part.T_world_part), T_world_grasp[:3, 3])
+        away = _depth_outside(_gripped_box(part), T_world_grasp[:3, 3])
         if away > options.position_tolerance:
-            message = f"the grasp centre lies outside the box around part {part.name!r}"
+            message = f"the grasp centre lies over {1e3 * BESIDE_MESH:.0f} mm outside the box around part {part.name!r}"
             findings.append(Finding(k, step.part, 0.0, "grasp", message, away))
         return findings
     boxes = part.boxes_in_world()
@@ -167,6 +168,12 @@ def _depth_outside(box: OrientedBox, point: Array) -> float:
     return float(np.linalg.norm(np.maximum(np.abs(local) - box.half_extents, 0.0)))
 
 
+def _gripped_box(part: Part) -> OrientedBox:
+    """The box, in the world, in which every grasp of a part lies."""
+    box = part.shape.bounding_box().moved(part.T_world_part)
+    return box if isinstance(part.shape, Box) else OrientedBox(box.T_frame_box, box.half_extents + BESIDE_MESH)
+
+
 def path_length(points: Array) -> float:
     """Length, m, of a path through points (M, 3) (Eq. 1 and 2)."""
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -195,10 +202,10 @@ def check_total(plan: Plan, options: VerificationOptions) -> list[Finding]:
 def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
     """Sum over the removable parts, m, of the lift and the distance that is left from the nearest point of the part to
     the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter. Where parts leave
-    freely there is no lift, and the point is one of the bounding box."""
+    freely there is no lift, and the point is one of the bounding box,
+    of a mesh grown by `BESIDE_MESH` on all sides."""
     if not assembly.is_lifted:
-        boxes = [part.shape.bounding_box().moved(part.T_world_part) for part in assembly.parts if not part.fixed]
-        return sum(_depth_outside(box, workcell.goal) for box in boxes)
+        return sum(_depth_outside(_gripped_box(part), workcell.goal) for part in assembly.parts if not part.fixed)
     before_the_lift = workcell.goal - np.array([0.0, 0.0, workcell.lift_height])  # (3,) m, in the world
     bound = 0.0
     for part in assembly.parts:
