@@ -70,6 +70,8 @@ cli
 
 # Where a library with a large footprint, or one that is an optional extra, may be imported.
 CONFINED = {
+    "fcl": ("verification.solids",),
+    "manifold3d": ("verification.solids", "formats.importing"),
     "mujoco": ("verification", "pictures"),
     "torch": ("guide",),
     "safetensors": ("guide",),

@@ -86,6 +86,9 @@ def print_verdict(outcome: VerificationReport) -> None:
                 f"smallest clearance   {1000 * near.distance:.2f} mm, {near.first} and {near.second}, "
                 f"step {near.step + 1} ({near.part})"
             )
+        if outcome.contacts:
+            first, second, depth = outcome.contacts[0]
+            click.echo(f"deepest contact      {1000 * depth:.2f} mm, {first} and {second}")
         if outcome.states:
             click.echo(f"under gravity        all {outcome.states} states stand")
     else:

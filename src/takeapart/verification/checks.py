@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import Array, OrientedBox, pose
+from takeapart.model.geometry import Array, Box, OrientedBox, pose
 from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.verification.report import Finding, VerificationOptions
 from takeapart.workcell import Workcell
@@ -22,6 +22,7 @@ ORIGINS = ("assembly", "workcell")
 DIRECTIONS = ("disassembly", "assembly")
 STANDARD_GRAVITY = 9.80665  # m/s^2
 EQUAL_EDGES = 1e-3  # m; a part whose two longest edges differ by no more has no long axis
+BESIDE_MESH = 0.012  # m; the tool grips a mesh from no farther outside the box around it
 NOTHING_BELOW = "anything to rest on"
 
 
@@ -119,6 +120,12 @@ def check_grasp(
         message = f"opening {1e3 * width:.2f} mm is beyond the gripper's 0 to {1e3 * maximum_opening:.0f} mm"
         findings.append(Finding(k, step.part, 0.0, "width", message, max(width - maximum_opening, -width)))
     T_world_grasp = grasp_pose(step.grasp)
+    if not isinstance(part.shape, Box):  # where its surface is, the pads are measured
+        away = _depth_outside(_gripped_box(part), T_world_grasp[:3, 3])
+        if away > options.position_tolerance:
+            message = f"the grasp centre lies over {1e3 * BESIDE_MESH:.0f} mm outside the box around part {part.name!r}"
+            findings.append(Finding(k, step.part, 0.0, "grasp", message, away))
+        return findings
     boxes = part.boxes_in_world()
     outside = [_depth_outside(box, T_world_grasp[:3, 3]) for box in boxes]
     box = boxes[int(np.argmin(outside))]
@@ -161,6 +168,12 @@ def _depth_outside(box: OrientedBox, point: Array) -> float:
     return float(np.linalg.norm(np.maximum(np.abs(local) - box.half_extents, 0.0)))
 
 
+def _gripped_box(part: Part) -> OrientedBox:
+    """The box, in the world, in which every grasp of a part lies."""
+    box = part.shape.bounding_box().moved(part.T_world_part)
+    return box if isinstance(part.shape, Box) else OrientedBox(box.T_frame_box, box.half_extents + BESIDE_MESH)
+
+
 def path_length(points: Array) -> float:
     """Length, m, of a path through points (M, 3) (Eq. 1 and 2)."""
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -188,7 +201,11 @@ def check_total(plan: Plan, options: VerificationOptions) -> list[Finding]:
 
 def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
     """Sum over the removable parts, m, of the lift and the distance that is left from the nearest point of the part to
-    the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter."""
+    the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter. Where parts leave
+    freely there is no lift, and the point is one of the bounding box,
+    of a mesh grown by `BESIDE_MESH` on all sides."""
+    if not assembly.is_lifted:
+        return sum(_depth_outside(_gripped_box(part), workcell.goal) for part in assembly.parts if not part.fixed)
     before_the_lift = workcell.goal - np.array([0.0, 0.0, workcell.lift_height])  # (3,) m, in the world
     bound = 0.0
     for part in assembly.parts:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
-from takeapart.model.geometry import Array, OrientedBox, pose_inverse, quaternion_from_rotation
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse, quaternion_from_rotation
 from takeapart.verification.gripper import PadMeasure, pad_measure
 from takeapart.verification.robot import (
     Joints,
@@ -130,12 +130,12 @@ class Scene:
         for i, part in enumerate(self.assembly.parts):
             static = specification.worldbody.add_body(name=f"part/{part.name}")
             place_body(static, part.T_world_part)
-            for box in self.assembly.body(i):
+            for box in exact_boxes(self.assembly, i):
                 add_box(static, box, STATIC_BITS)
             if part.fixed:
                 continue
             held = hand.add_body(name=f"held/{part.name}")
-            for box in self.assembly.body(i):
+            for box in exact_boxes(self.assembly, i):
                 add_box(held, box, ABSENT_BITS, self.sight)
             # The gripper does not move relative to the held part: `check_fingers` looks at it once per step.
             for link in gripper:
@@ -309,7 +309,7 @@ class Scene:
         finished assembly; keys (a, b) in both orders. Static bodies only, so the arm does not matter."""
         obstacles = [int(self.model.body(f"environment/{o.name}").id) for o in self.workcell.environment]
         bodies = [*self.static_bodies, *obstacles]
-        geoms = np.array([geom for body in bodies for geom in self.geoms(body)])
+        geoms = np.array([geom for body in bodies for geom in self.geoms(body)], dtype=np.intp)
         owner = self.model.geom_bodyid[geoms]
         obstacle = owner > max(self.static_bodies)
         R = self.data.geom_xmat[geoms].reshape(-1, 3, 3)
@@ -342,6 +342,13 @@ class Scene:
         pairs = [(a, b) for a in base for b in parts] + [(a, b) for a in free for b in obstacles]
         found = [(self.label(a), self.label(b), -self.distance(a, b)) for a, b in pairs]
         return [(first, second, depth) for first, second, depth in found if depth > tolerance]
+
+
+def exact_boxes(assembly: Assembly, i: int) -> tuple[OrientedBox, ...]:
+    """The boxes that part i consists of, its connectors included. Of a mesh only these: its surface is judged by
+    triangles (`mesh_replay`), never by boxes around it."""
+    shape = assembly.parts[i].shape
+    return assembly.body(i) if isinstance(shape, Box) else assembly.body(i)[len(shape.boxes()) :]
 
 
 def part_in_tool(T_world_tool: Array, T_world_part: Array) -> Array:

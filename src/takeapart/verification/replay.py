@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, rotation_from_quaternion
+from takeapart.model.geometry import Array, Box, pose_inverse, rotation_from_quaternion
 from takeapart.model.plan import PlanStep
 from takeapart.verification.checks import grasp_pose, path_length
 from takeapart.verification.model import Scene, part_in_tool
 from takeapart.verification.report import Clearance, Finding, VerificationOptions
 from takeapart.workcell import Workcell
+
+if TYPE_CHECKING:
+    from takeapart.verification.mesh_replay import MeshReplay
 
 ROUGHNESS = 4e-4  # m, error of the distances that `Scene.near` gives; measured: at most 3e-4
 
@@ -51,6 +55,12 @@ class Replay:
         self.options = options
         self.clearance = options.demanded_clearance(workcell)  # m
         self.scene = Scene(assembly, workcell, max(options.sight, self.clearance + 2 * ROUGHNESS))
+        self.lifts = assembly.is_lifted
+        self.meshes: MeshReplay | None = None
+        if assembly.has_meshes:
+            from takeapart.verification.mesh_replay import MeshReplay
+
+            self.meshes = MeshReplay(assembly, workcell, options, self.scene)
         self.neighbours = self.scene.touching_at_start(max(options.touching, self.clearance + options.penetration))
 
     def check_placement(self) -> list[Finding]:
@@ -61,6 +71,7 @@ class Replay:
                 for first, second, depth in self.scene.misplaced(self.options.penetration)
             ),
             *self._check_home(),
+            *(self.meshes.drawn() if self.meshes is not None else ()),
         ]
 
     def _check_home(self) -> list[Finding]:
@@ -101,12 +112,16 @@ class Replay:
             *check_tool_path(step, k, position_errors, angle_errors, options),
             *check_true_length(step, k, samples.positions, options),
             *check_start(step, k, T_world_grasp, positions[0], rotations[0], options),
-            *check_lift(step, k, samples, self.workcell.lift_height, options),
+            *(check_lift(step, k, samples, self.workcell.lift_height, options) if self.lifts else ()),
             *check_goal(step, k, positions[-1], self.workcell.goal, options),
         ]
         scene.place(step.joint_path[0])
         findings += self._check_fingers(step, k, number)
         collisions, clearance = self._check_collisions(step, k, number, samples)
+        if self.meshes is not None:
+            further, nearest = self.meshes.check(step, k, number, state, samples.configurations, samples.times)
+            collisions += further
+            clearance = min((c for c in (clearance, nearest) if c), key=lambda c: c.distance, default=None)
         return StepResult(
             tuple(findings + collisions),
             len(samples.times),
@@ -137,6 +152,11 @@ class Replay:
             *(g for link in scene.carried_links for g in scene.geoms(link)),
         ]
         points = np.vstack([np.zeros(3), scene.corners_in_tool(carried)])  # (P, 3) m, tool frame
+        part = self.assembly.parts[number]
+        if not isinstance(part.shape, Box):
+            T_tool_part = pose_inverse(grasp_pose(step.grasp)) @ part.T_world_part
+            corners = part.shape.bounding_box().moved(T_tool_part).corners()
+            points = np.vstack([points, corners])
         rows = np.asarray(step.joint_path, dtype=float)
         times = np.arange(len(rows), dtype=float)
         configurations = rows
@@ -162,15 +182,16 @@ class Replay:
         the gripper cut into it. Constant along the path."""
         scene, options = self.scene, self.options
         held = scene.geoms(scene.held_bodies[number])
-        body = held[: len(self.assembly.parts[number].shape.boxes())]  # the rest are connector walls
+        shape = self.assembly.parts[number].shape
+        body = held[: len(shape.boxes())] if isinstance(shape, Box) else []  # the rest are connector walls
         findings = check_gripper(step, k, scene, options)
-        for side in scene.sides:
+        for side in scene.sides if body else ():  # how a mesh is held, its triangles say
             gap = min(scene.distance(a, b) for link in side for a in scene.geoms(link) for b in body)
             if gap > options.finger_gap:
                 names = " and ".join(side)
                 message = f"{names} {'does' if len(side) == 1 else 'do'} not touch {step.part!r}"
                 findings.append(Finding(k, step.part, 0.0, "finger_contact", message, gap))
-        for link in scene.carried_links:
+        for link in scene.carried_links if held else ():
             shortfall, distance = max(
                 (self._required_of_hand(link, b in body) - gap, gap)
                 for a in scene.geoms(link)

@@ -164,6 +164,9 @@ class VerificationReport:
         seconds: wall time.
         clearances: the smallest one of every step that was replayed, in the order of disassembly; None as above.
         motion: hash of what the plan has the arm do, see `takeapart.formats.serialization.motion_hash`.
+        contacts: how deep, m, held parts were in others while they slid out, per pair, deepest first.
+        open_parts: names of the parts whose surface is not closed: judged by where surfaces cross, not by volumes.
+        meshes: names of the parts that are meshes.
     """
 
     plan: str
@@ -177,11 +180,23 @@ class VerificationReport:
     options: VerificationOptions = field(default_factory=VerificationOptions)
     clearances: tuple[Clearance | None, ...] = ()
     motion: str = ""
+    contacts: tuple[tuple[str, str, float], ...] = ()
+    open_parts: tuple[str, ...] = ()
+    meshes: tuple[str, ...] = ()
 
     @property
     def not_checked(self) -> tuple[str, ...]:
         """What the plan states and this report says nothing about."""
-        return NOT_CHECKED if self.states else (*NOT_CHECKED, "whether the parts stand under gravity")
+        left_out = list(NOT_CHECKED)
+        if self.meshes:
+            left_out.append(f"whether the parts stand under gravity ({len(self.meshes)} of them are meshes)")
+        elif not self.states:
+            left_out.append("whether the parts stand under gravity")
+        if self.open_parts:
+            left_out.append(
+                f"what is inside open surfaces, judged only by where they cross: {', '.join(self.open_parts)}"
+            )
+        return tuple(left_out)
 
     @property
     def passed(self) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 
 from takeapart.formats.serialization import assembly_hash, motion_hash, workcell_hash, workcell_hash_by_name
 from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import Box
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.verification.checks import (
     check_bound,
@@ -82,11 +83,12 @@ class Verifier:
     ) -> None:
         self.assembly, self.workcell = assembly, workcell
         self.options = options or VerificationOptions()
-        computed = {"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)}
-        self.hashes = computed if hashes is None else hashes
+        if hashes is None:
+            hashes = {"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)}
+        self.hashes = hashes
         self._hash_by_name = workcell_hash_by_name(workcell)
         self.replay = Replay(assembly, workcell, self.options)
-        self.support = Support(assembly)
+        self.support = None if assembly.has_meshes else Support(assembly)
         self._steps: dict[bytes, StepResult] = {}
         self._standing: dict[int, StandingReport] = {}
 
@@ -137,10 +139,11 @@ class Verifier:
         if not any(finding.check == "schema" and finding.step is not None for finding in findings):
             findings += check_total(plan, options)
         findings += check_bound(plan, assembly, workcell, options)
-        findings += check_stability(plan, assembly)
         states = states_of(plan, assembly)
-        findings += check_support(self.support, states, [step.part for step in plan.steps])
-        states = states if physics else []
+        if self.support is not None:  # these read boxes, and a mesh has none: the report says so
+            findings += check_stability(plan, assembly)
+            findings += check_support(self.support, states, [step.part for step in plan.steps])
+        states = states if physics and self.support is not None else []
         for k, standing in enumerate(states):
             before = plan.steps[k - 1].part if k else ""
             findings += [
@@ -160,7 +163,14 @@ class Verifier:
             options=options,
             clearances=tuple(result.clearance for result in results),
             motion=motion_hash(plan),
+            contacts=self._contacts(),
+            open_parts=() if self.replay.meshes is None else self.replay.meshes.open_parts,
+            meshes=tuple(part.name for part in assembly.parts if not isinstance(part.shape, Box)),
         )
+
+    def _contacts(self) -> tuple[tuple[str, str, float], ...]:
+        found = {} if self.replay.meshes is None else self.replay.meshes.deepest
+        return tuple(sorted(((a, b, depth) for (a, b), depth in found.items()), key=lambda contact: -contact[2]))
 
     def _hashes_for(self, plan: Plan) -> Mapping[str, str]:
         """The hashes that a plan must have; of a file of version 1 also the workcell's by the name of its robot."""
