@@ -172,7 +172,6 @@ def _document(found: ImportedProduct, file: Path) -> dict[str, Any]:
                 "nearest": names[each.part],
                 "carrier": None if each.carrier is None else names[each.carrier],
                 "gap": None if each.carrier is None else each.gap,
-                "grounded": [names[i] for i in each.grounded],
             }
             for each in found.floating
         ],
@@ -250,9 +249,6 @@ def _floating(found: ImportedProduct, each: Floating) -> str:
     names = ", ".join(parts[i].name for i in each.parts[:8]) + (", ..." if len(each.parts) > 8 else "")
     verb = "floats" if len(each.parts) == 1 else "float"
     gap = math.ceil(1e4 * each.gap - 1e-6) / 10
-    if each.grounded and (each.carrier is None or gap > 10):
-        standing = parts[each.grounded[0]].name
-        return f"{names} {verb}: the ground that {standing} stands on is no part; with --fix {standing} it stays"
     if each.carrier is None:
         return f"{names} {verb}: nothing that is held is within {1e3 * each.gap:g} mm; name with --fix what is fixed"
     which = f"{parts[each.part].name} is {1e3 * each.gap:.3f} mm off {parts[each.carrier].name}"

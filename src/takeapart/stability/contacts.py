@@ -8,18 +8,19 @@ the counterweight of another. So every state is a question of its own, answered 
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array
+from takeapart.model.assembly import Assembly, Part
+from takeapart.model.geometry import Array, Box, pose
 from takeapart.stability.patches import ContactPatch, contact_patches
 from takeapart.stability.statics import UNCARRIED, Balance, Statics
 from takeapart.states import members
 
+GROUND_MARGIN, GROUND_DEPTH = 0.1, 0.02  # m, by which the ground is larger than the product, and its thickness
 STEADY = 0.98  # share of the friction that is counted on
 
 
@@ -50,7 +51,8 @@ class ContactStability:
     """Static equilibrium of every state of a product, by contact. Safe to ask from several threads.
 
     Args:
-        assembly: with its friction, contact gap and joints.
+        assembly: with its friction, contact gap and joints. It stands on level ground at its lowest point, which
+            carries what touches it.
         side_force: share of a joint's strength with which each of its points also resists sideways.
         margin: how much of what is allowed for (`statics.OFF_CENTRE`) centres of mass may lie off, to three sides,
             without anything falling; 0 for plain equilibrium.
@@ -60,7 +62,7 @@ class ContactStability:
     def __init__(
         self, assembly: Assembly, side_force: float = 0.0, margin: float = 1.0, strength: float | None = None
     ) -> None:
-        self.assembly, self.side_force, self.margin, self.strength = assembly, side_force, margin, strength
+        self.assembly, self.side_force, self.margin, self.strength = on_ground(assembly), side_force, margin, strength
         self._verdicts: dict[tuple[int, int | None], Verdict] = {}
         self._groups: dict[tuple[int, int | None], Verdict] = {}
         self._lock = threading.Lock()
@@ -203,6 +205,17 @@ class ContactStability:
                 drawn = self.statics.balance(loose, standing, np.zeros(3))
                 return balance if drawn.holds else drawn
         return None
+
+
+def on_ground(assembly: Assembly) -> Assembly:
+    """The product with the ground under its lowest point, as one more part that never leaves, after all others."""
+    bounds = np.array([part.shape.surface().moved(part.T_world_part).bounds for part in assembly.parts])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    size = high - low + 2 * GROUND_MARGIN
+    T = pose([*((low + high) / 2)[:2], low[2] - GROUND_DEPTH / 2])
+    name = next(name for k in range(len(assembly.parts) + 1) if (name := f"ground{k or ''}") not in assembly.index)
+    ground = Part(name, Box((float(size[0]), float(size[1]), GROUND_DEPTH)), T, 1.0, fixed=True)
+    return replace(assembly, parts=(*assembly.parts, ground))
 
 
 def shifts(size: float) -> list[Array]:

@@ -37,14 +37,12 @@ class Floating:
         part, carrier: number of the one among them that is nearest to what is held, and of what it is nearest to;
             None where there is none within 5 cm.
         gap: m between these two.
-        grounded: numbers of those among them that stand on the ground, which is no part of the product.
     """
 
     parts: tuple[int, ...]
     part: int
     carrier: int | None
     gap: float
-    grounded: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,14 +232,16 @@ def _fixed(
 
 
 def _floating(assembly: Assembly, pairs: Sequence[DrawnPair], measured: DrawnPairs) -> tuple[Floating, ...]:
-    """Parts that no chain of contacts joins to what is fixed."""
+    """Parts that no chain of contacts joins to what is fixed, or stands on the ground at the product's lowest point."""
     touching: dict[int, set[int]] = {i: set() for i in range(len(assembly.parts))}
     for pair in pairs:
         if pair.gap <= assembly.contact_gap:
             touching[pair.first].add(pair.second)
             touching[pair.second].add(pair.first)
-    held = _joined_to({i for i, part in enumerate(assembly.parts) if part.fixed}, touching)
-    left, bottom = set(touching) - held, float(measured.bounds[:, 0, 2].min())
+    bottom = float(measured.bounds[:, 0, 2].min())
+    standing = {i for i in touching if measured.bounds[i, 0, 2] <= bottom + assembly.contact_gap}
+    held = _joined_to(standing | {i for i, part in enumerate(assembly.parts) if part.fixed}, touching)
+    left = set(touching) - held
     found = []
     while left:
         group = _joined_to({min(left)}, touching)
@@ -251,8 +251,7 @@ def _floating(assembly: Assembly, pairs: Sequence[DrawnPair], measured: DrawnPai
         known = np.isfinite(gaps[part, carrier])
         gap = gaps[part, carrier] if known else FURTHEST_CARRIER
         members = tuple(sorted(group))
-        grounded = tuple(i for i in members if measured.bounds[i, 0, 2] <= bottom + GROUND)
-        found.append(Floating(members, part, carrier if known else None, gap, grounded))
+        found.append(Floating(members, part, carrier if known else None, gap))
     return tuple(found)
 
 
