@@ -49,6 +49,8 @@ class ExitRule(Protocol):
 APART = 5e-3  # m, between the covers of a part and of what it passed, at the end of its exit
 SHORTEST, MOST_TRAVEL = 0.01, 2.0  # m
 MOST_EXITS = 8  # of a part
+ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
+SAME_LENGTH = 0.01  # m
 BEYOND = 1e-4  # m past the end of an overlap of covers
 
 
@@ -94,10 +96,8 @@ class Exits:
             return tuple(found[:MOST_EXITS])
         kept: list[Exit] = []
         for way in sorted(open_, key=_preference):
-            assert way.blockers is not None
-            worse = any(other.blockers is not None and not other.blockers & ~way.blockers for other in kept)
-            similar = sum(other.blockers == way.blockers for other in kept)
-            if not worse or (similar and similar < 3):
+            better = [other for other in kept if _is_no_worse(other, way)]
+            if not better or (len(better) <= ALIKE and better[0].blockers == way.blockers):
                 kept.append(way)
         return tuple(kept[:MOST_EXITS])
 
@@ -221,8 +221,17 @@ def _preference(way: Exit) -> tuple[int, int, float, float]:
     """Few blockers first, then upwards, then short."""
     assert way.blockers is not None and way.direction is not None
     down = int(way.direction[2] < -0.05)
-    length = float(np.linalg.norm(way.poses[-1, :3, 3] - way.poses[0, :3, 3]))
-    return way.blockers.bit_count(), down, round(-float(way.direction[2]), 6), round(length, 6)
+    return way.blockers.bit_count(), down, round(-float(way.direction[2]), 6), round(_length(way), 6)
+
+
+def _is_no_worse(other: Exit, way: Exit) -> bool:
+    """Whether an exit hits no part that another does not hit, and is no longer."""
+    assert way.blockers is not None and other.blockers is not None
+    return not other.blockers & ~way.blockers and _length(other) <= _length(way) + SAME_LENGTH
+
+
+def _length(way: Exit) -> float:
+    return float(np.linalg.norm(way.poses[-1, :3, 3] - way.poses[0, :3, 3]))
 
 
 def _is_new(direction: Array, known: Sequence[Array]) -> bool:
