@@ -19,7 +19,8 @@ from takeapart.model.geometry import Array, Box, Shape, TriangleMesh
 
 FINEST, COARSEST, CELLS = 2.5e-4, 1e-3, 200  # m, m, and along the longest edge
 UNIT = 1e-6  # m, of the numbers in the grid
-FIELD_ERROR = 0.3  # cells; no interpolated distance is further from the true one
+FIELD_ERROR = 0.3  # cells: an interpolated distance is no further from the true one, but for corners
+CORNER_ERROR = 0.5  # cells: at corners, and in gaps and walls thinner than a cell
 BAND_CELLS = 6  # to either side of the surface
 
 Grid = NDArray[np.int16]

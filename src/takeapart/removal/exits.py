@@ -15,6 +15,7 @@ from takeapart.collision.sweep import first_hit, nearest_distance
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox, pose_inverse
 from takeapart.removal.directions import directions_of, sphere
+from takeapart.removal.pushes import pushed_free, unscrewed
 
 ExitKind = Literal["straight", "pushes", "screw"]
 
@@ -51,11 +52,13 @@ SHORTEST, MOST_TRAVEL = 0.01, 2.0  # m
 MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
+AXES = 5  # of the directions of a part, the world's: along these it leaves after pushes
 BEYOND = 1e-4  # m past the end of an overlap of covers
 
 
 class Exits:
-    """Straight ways out of a product, in any direction; found when first asked for.
+    """Ways out of a product: straight in any direction, by a thread or by pushes where no straight one is; found when
+    first asked for.
 
     Args:
         assembly: the product.
@@ -93,7 +96,8 @@ class Exits:
             found += [self._along(part, direction) for direction in sphere() if _is_new(direction, first)]
         open_ = [way for way in found if way.blockers is not None]
         if not open_:
-            return tuple(found[:MOST_EXITS])
+            winding = self._winding(part, first)
+            return tuple(found[:MOST_EXITS]) if winding is None else (winding,)
         kept: list[Exit] = []
         for way in sorted(open_, key=_preference):
             better = [other for other in kept if _is_no_worse(other, way)]
@@ -101,10 +105,30 @@ class Exits:
                 kept.append(way)
         return tuple(kept[:MOST_EXITS])
 
-    def _along(self, part: int, direction: Array) -> Exit:
-        hits = self._hits(part, direction)
-        length, blockers = self._length(part, direction, dict(hits))
-        poses = np.repeat(self._assembly.parts[part].T_world_part[None], 2, axis=0)
+    def _winding(self, part: int, directions: Sequence[Array]) -> Exit | None:
+        """A way out along a thread or by pushes, with all others there; None where none is found."""
+        others = [other for other in range(self._parts) if other != part]
+
+        def is_free(T: Array, direction: Array) -> bool:
+            return self._along(part, direction, T).blockers == 0
+
+        kind: ExitKind = "screw"
+        boxes = [field for field, _ in self._obstacles]
+        way = unscrewed(self._assembly, self._contacts, part, others, boxes, is_free)
+        if way is None:
+            kind = "pushes"
+            way = pushed_free(self._assembly, self._contacts, part, others, boxes, directions[:AXES], is_free)
+        if way is None:
+            return None
+        out = self._along(part, way.direction, way.poses[-1])
+        return Exit(kind, np.concatenate([way.poses, out.poses[1:]]), out.blockers, None, out.hits)
+
+    def _along(self, part: int, direction: Array, T: Array | None = None) -> Exit:
+        """Straight out from where the part stands, or from another pose."""
+        start = self._assembly.parts[part].T_world_part if T is None else T
+        hits = self._hits(part, direction, start)
+        length, blockers = self._length(part, direction, dict(hits), start)
+        poses = np.repeat(start[None], 2, axis=0)
         poses[1, :3, 3] += length * direction
         told: dict[int, float] = {}
         for owner, after in hits:
@@ -113,9 +137,9 @@ class Exits:
                 told[number] = min(after, told.get(number, math.inf))
         return Exit("straight", poses, blockers, direction, tuple(sorted(told.items(), key=lambda hit: hit[1])))
 
-    def _hits(self, part: int, direction: Array) -> list[tuple[int, float]]:
+    def _hits(self, part: int, direction: Array, T_world_part: Array) -> list[tuple[int, float]]:
         """What a part meets along a direction, and after how many m; obstacles are numbered after the parts."""
-        body, T_world_part = self._contacts.body(part), self._assembly.parts[part].T_world_part
+        body = self._contacts.body(part)
         points = body.points @ T_world_part[:3, :3].T + T_world_part[:3, 3]
         low, high = points.min(axis=0), points.max(axis=0)
         swept = np.minimum(low, low + self._travel * direction), np.maximum(high, high + self._travel * direction)
@@ -164,10 +188,12 @@ class Exits:
             return -self._contacts.tolerance(part, other)
         return self._clearance
 
-    def _length(self, part: int, direction: Array, hits: dict[int, float]) -> tuple[float, int | None]:
+    def _length(self, part: int, direction: Array, hits: dict[int, float], T: Array) -> tuple[float, int | None]:
         """The shortest way along a direction at whose end the part's cover is apart from those of all that it did not
         hit on the way, m; and what it hit by then."""
         own = self._covers[part]
+        if T is not self._assembly.parts[part].T_world_part:
+            own = _bounds([box.moved(T).corners() for box in self._assembly.parts[part].shape.boxes()])
         overlaps = {
             other: _overlaps(own, cover, direction) for other, cover in enumerate(self._covers) if other != part
         }
