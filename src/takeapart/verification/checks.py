@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.geometry import Array, Box, OrientedBox, Shape, pose
 from takeapart.model.plan import Grasp, Plan, PlanStep
 from takeapart.verification.report import Finding, VerificationOptions
 from takeapart.workcell import Workcell
@@ -22,7 +22,8 @@ ORIGINS = ("assembly", "workcell")
 DIRECTIONS = ("disassembly", "assembly")
 STANDARD_GRAVITY = 9.80665  # m/s^2
 EQUAL_EDGES = 1e-3  # m; a part whose two longest edges differ by no more has no long axis
-BESIDE_MESH = 0.012  # m; the tool grips a mesh from no farther outside the box around it
+BOX_VOLUME = 1e-6  # relative; a mesh whose volume is that of the box around it is a box
+GRASP_OVERHANG = 0.012  # m, by which the tool's point may be outside the box around a mesh that it grips
 NOTHING_BELOW = "anything to rest on"
 
 
@@ -120,18 +121,14 @@ def check_grasp(
         message = f"opening {1e3 * width:.2f} mm is beyond the gripper's 0 to {1e3 * maximum_opening:.0f} mm"
         findings.append(Finding(k, step.part, 0.0, "width", message, max(width - maximum_opening, -width)))
     T_world_grasp = grasp_pose(step.grasp)
-    if not isinstance(part.shape, Box):  # where its surface is, the pads are measured
-        away = _depth_outside(_gripped_box(part), T_world_grasp[:3, 3])
-        if away > options.position_tolerance:
-            message = f"the grasp centre lies over {1e3 * BESIDE_MESH:.0f} mm outside the box around part {part.name!r}"
-            findings.append(Finding(k, step.part, 0.0, "grasp", message, away))
-        return findings
-    boxes = part.boxes_in_world()
+    boxes = gripped_boxes(part)
     outside = [_depth_outside(box, T_world_grasp[:3, 3]) for box in boxes]
     box = boxes[int(np.argmin(outside))]
     if min(outside) > options.position_tolerance:
         message = f"the grasp centre lies outside part {part.name!r}"
         return [*findings, Finding(k, step.part, 0.0, "grasp", message, min(outside))]
+    if not fills_its_box(part.shape):
+        return findings  # `pads.check_pads` looks at the surface
     closing = box.T_frame_box[:3, :3].T @ T_world_grasp[:3, 1]  # closing axis of the fingers in the box's frame
     axis = int(np.argmax(np.abs(closing)))
     tilt = math.acos(min(1.0, abs(float(closing[axis]))))
@@ -168,12 +165,6 @@ def _depth_outside(box: OrientedBox, point: Array) -> float:
     return float(np.linalg.norm(np.maximum(np.abs(local) - box.half_extents, 0.0)))
 
 
-def _gripped_box(part: Part) -> OrientedBox:
-    """The box, in the world, in which every grasp of a part lies."""
-    box = part.shape.bounding_box().moved(part.T_world_part)
-    return box if isinstance(part.shape, Box) else OrientedBox(box.T_frame_box, box.half_extents + BESIDE_MESH)
-
-
 def path_length(points: Array) -> float:
     """Length, m, of a path through points (M, 3) (Eq. 1 and 2)."""
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
@@ -200,19 +191,32 @@ def check_total(plan: Plan, options: VerificationOptions) -> list[Finding]:
 
 
 def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
-    """Sum over the removable parts, m, of the lift and the distance that is left from the nearest point of the part to
-    the goal: no plan whose grasps are all inside their parts, as `check_grasp` demands, is shorter. Where parts leave
-    freely there is no lift, and the point is one of the bounding box,
-    of a mesh grown by `BESIDE_MESH` on all sides."""
-    if not assembly.is_lifted:
-        return sum(_depth_outside(_gripped_box(part), workcell.goal) for part in assembly.parts if not part.fixed)
-    before_the_lift = workcell.goal - np.array([0.0, 0.0, workcell.lift_height])  # (3,) m, in the world
+    """Sum over the removable parts, m, of the distance from the nearest point of the part to the goal, and of what is
+    lifted of the lift and the distance that is left from there: no plan whose grasps are all where `check_grasp`
+    demands them is shorter."""
+    lift = workcell.lift_height if assembly.is_lifted else 0.0  # m
+    before_the_lift = workcell.goal - np.array([0.0, 0.0, lift])  # (3,) m, in the world
     bound = 0.0
     for part in assembly.parts:
         if not part.fixed:
-            boxes = part.boxes_in_world()
-            bound += workcell.lift_height + min(_depth_outside(box, before_the_lift) for box in boxes)
+            bound += lift + min(_depth_outside(box, before_the_lift) for box in gripped_boxes(part))
     return bound
+
+
+def fills_its_box(shape: Shape) -> bool:
+    """Whether a shape is a box: a mesh is one if its volume is that of the smallest box around it."""
+    if isinstance(shape, Box):
+        return True
+    around = 8 * float(shape.bounding_box().half_extents.prod())
+    return abs(around - shape.volume()) <= BOX_VOLUME * around
+
+
+def gripped_boxes(part: Part) -> list[OrientedBox]:
+    """Boxes, in the world, in which the tool's point must be at the grasp: those of the part, or the one around a mesh
+    and `GRASP_OVERHANG` beyond it, since fingers grip over edges."""
+    box = part.shape.bounding_box()
+    beyond = 0.0 if fills_its_box(part.shape) else GRASP_OVERHANG
+    return [OrientedBox(box.T_frame_box, box.half_extents + beyond).moved(part.T_world_part)]
 
 
 def check_bound(plan: Plan, assembly: Assembly, workcell: Workcell, options: VerificationOptions) -> list[Finding]:

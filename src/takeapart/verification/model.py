@@ -9,13 +9,23 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
-from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse, quaternion_from_rotation
+from takeapart.model.geometry import (
+    Array,
+    Box,
+    OrientedBox,
+    TriangleMesh,
+    pose,
+    pose_inverse,
+    quaternion_from_rotation,
+)
+from takeapart.verification.exact import ExactPairs, around, as_array
 from takeapart.verification.gripper import PadMeasure, pad_measure
 from takeapart.verification.robot import (
     Joints,
@@ -26,6 +36,7 @@ from takeapart.verification.robot import (
     robot_specification,
     unchecked_pairs,
 )
+from takeapart.verification.solids import Solid
 from takeapart.verification.urdf import arm_branch, gripper_branch
 from takeapart.workcell import Workcell
 
@@ -87,6 +98,7 @@ class Scene:
         self.description = workcell.description
         self.gripper = self.description.gripper
         self._prefix = gripper_prefix(self.description)
+        self.outlines = _outlines(assembly)
         self.model = self._compile()
         self.data = mujoco.MjData(self.model)
         model = self.model
@@ -95,6 +107,26 @@ class Scene:
         self._hand = model.body(self._prefix + self.gripper.base_link).id
         self.static_bodies = [model.body(f"part/{part.name}").id for part in assembly.parts]
         self.held_bodies = [-1 if part.fixed else int(model.body(f"held/{part.name}").id) for part in assembly.parts]
+        self.exact = ExactPairs(
+            model,
+            self.data,
+            {
+                self.geoms(body)[0]: outline
+                for bodies in (self.static_bodies, self.held_bodies)
+                for body, outline in zip(bodies, self.outlines, strict=True)
+                if body >= 0 and outline is not None
+            },
+        )
+        self._exact = as_array(sorted(self.exact.geoms))
+        still = {geom for body in self.base_bodies for geom in self.geoms(body)}
+        bits = (ROBOT_BITS[0], GRIPPER_BITS[0])
+        self._robot = as_array(
+            [geom for geom in range(model.ngeom) if model.geom_contype[geom] in bits and geom not in still]
+        )
+        carried = {geom for link in self.carried_links for geom in self.geoms(link)}
+        self._links_before = as_array([geom for geom in self._robot if geom not in carried])
+        self._exact_standing = as_array([])
+        self._held_geoms = as_array([])
         box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
         self._gripper_boxes = np.nonzero(box & (model.geom_contype == GRIPPER_BITS[0]))[0]
         self._boxes = np.empty(0, dtype=np.intp)  # of the gripper and the held part
@@ -130,12 +162,13 @@ class Scene:
         for i, part in enumerate(self.assembly.parts):
             static = specification.worldbody.add_body(name=f"part/{part.name}")
             place_body(static, part.T_world_part)
-            for box in exact_boxes(self.assembly, i):
+            boxes = self._bodies(i)
+            for box in boxes:
                 add_box(static, box, STATIC_BITS)
             if part.fixed:
                 continue
             held = hand.add_body(name=f"held/{part.name}")
-            for box in exact_boxes(self.assembly, i):
+            for box in boxes:
                 add_box(held, box, ABSENT_BITS, self.sight)
             # The gripper does not move relative to the held part: `check_fingers` looks at it once per step.
             for link in gripper:
@@ -144,6 +177,16 @@ class Scene:
             body = specification.worldbody.add_body(name=f"environment/{obstacle.name}")
             add_box(body, obstacle.box, STATIC_BITS)
         return compiled(specification, description)
+
+    def _bodies(self, i: int) -> list[OrientedBox]:
+        """Boxes of a part, in its frame, with its connectors: its shape first, of a mesh the box around it."""
+        assembly, outline = self.assembly, self.outlines[i]
+        name = assembly.parts[i].name
+        walls = [wall for connector in assembly.connectors if connector.host == name for wall in connector.walls]
+        if outline is None:
+            return list(assembly.body(i))
+        middle, half = outline.middle, around(outline)[1]
+        return [OrientedBox(pose(middle), half), *walls]
 
     def _sides(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Bodies of the finger links that stand on the negative and the positive side of the tool point along the
@@ -201,7 +244,11 @@ class Scene:
                 self._set_bits(self.held_bodies[i], HELD_BITS if i == held else ABSENT_BITS)
         self.held = held
         held_geoms = [] if held is None else self.geoms(self.held_bodies[held])
-        self._boxes = np.array([*self._gripper_boxes, *held_geoms], dtype=np.intp)
+        self._held_geoms = as_array(held_geoms)
+        self._boxes = as_array([*self._gripper_boxes, *(g for g in held_geoms if g not in self.exact.geoms)])
+        shown = [i for i, part in enumerate(self.assembly.parts) if part.fixed or (state >> i & 1 and i != held)]
+        first = [self.geoms(self.static_bodies[i])[0] for i in shown]
+        self._exact_standing = as_array([geom for geom in first if geom in self.exact.geoms])
         self._standing = np.nonzero(self.model.geom_contype == STATIC_BITS[0])[0]
         mujoco.mj_kinematics(self.model, self.data)
         self._standing_center = self.data.geom_xpos[self._standing].copy()
@@ -216,6 +263,10 @@ class Scene:
         geoms = self.geoms(body)
         self.model.geom_contype[geoms], self.model.geom_conaffinity[geoms] = bits
         self.model.body_contype[body], self.model.body_conaffinity[body] = bits  # the broad phase reads these
+        outlined = [
+            geom for geom in geoms if geom in self.exact.geoms
+        ]  # `ExactPairs` judges them, and not by their box
+        self.model.geom_contype[outlined], self.model.geom_conaffinity[outlined] = ABSENT_BITS
 
     def grip(self, T_tool_part: Array, width: float) -> None:
         """Opens the gripper to a width, m, and fastens the held part to it."""
@@ -265,11 +316,22 @@ class Scene:
     def near(self) -> tuple[NDArray[np.intp], Array]:
         """Pairs of geoms (k, 2) that stand closer than the sight, with their distance (k,), m: exact between two boxes.
 
-        A pair with a mesh may occur several times, and its distance be off by 0.3 mm: call `distance` before judging
-        it.
+        A pair with a mesh may occur several times, and its distance be off by 0.3 mm; with a part's mesh, it is only a
+        lower bound: call `distance` before judging it.
         """
         mujoco.mj_collision(self.model, self.data)
         pairs, distances = self.near_boxes()
+        if self.exact.geoms:
+            held = self._held_geoms
+            outlined = held[np.isin(held, self._exact)]
+            groups = (
+                (np.concatenate([self._robot, held]), self._exact_standing),
+                (outlined, self._standing),
+                (self._links_before, outlined),
+            )
+            found = [self.exact.near(moving, standing, self.sight) for moving, standing in groups]
+            pairs = np.concatenate([pairs, *(each[0] for each in found)])
+            distances = np.concatenate([distances, *(each[1] for each in found)])
         if self.data.ncon:
             pairs = np.concatenate([self.data.contact.geom.astype(np.intp), pairs])
             distances = np.concatenate([self.data.contact.dist, distances])
@@ -302,6 +364,8 @@ class Scene:
 
     def distance(self, first: int, second: int, limit: float = 1.0) -> float:
         """Distance of two geoms, m, negative if they penetrate; at most the limit."""
+        if first in self.exact.geoms or second in self.exact.geoms:
+            return min(self.exact.distance(first, second), limit)
         return float(mujoco.mj_geomDistance(self.model, self.data, first, second, limit, None))
 
     def touching_at_start(self, reach: float) -> dict[tuple[int, int], float]:
@@ -309,7 +373,7 @@ class Scene:
         finished assembly; keys (a, b) in both orders. Static bodies only, so the arm does not matter."""
         obstacles = [int(self.model.body(f"environment/{o.name}").id) for o in self.workcell.environment]
         bodies = [*self.static_bodies, *obstacles]
-        geoms = np.array([geom for body in bodies for geom in self.geoms(body)], dtype=np.intp)
+        geoms = np.array([geom for body in bodies for geom in self.geoms(body)])
         owner = self.model.geom_bodyid[geoms]
         obstacle = owner > max(self.static_bodies)
         R = self.data.geom_xmat[geoms].reshape(-1, 3, 3)
@@ -344,11 +408,26 @@ class Scene:
         return [(first, second, depth) for first, second, depth in found if depth > tolerance]
 
 
-def exact_boxes(assembly: Assembly, i: int) -> tuple[OrientedBox, ...]:
-    """The boxes that part i consists of, its connectors included. Of a mesh only these: its surface is judged by
-    triangles (`mesh_replay`), never by boxes around it."""
-    shape = assembly.parts[i].shape
-    return assembly.body(i) if isinstance(shape, Box) else assembly.body(i)[len(shape.boxes()) :]
+@dataclass(frozen=True, eq=False)
+class Outline(Solid):
+    """A part's mesh, shifted so that the box around it has its middle in the origin.
+
+    Args:
+        middle: (3,) m, of that box in the part's frame.
+    """
+
+    middle: Array
+
+
+def _outlines(assembly: Assembly) -> list[Outline | None]:
+    """The meshes of the parts, None for boxes; equal shapes share one."""
+    found: dict[int, Outline] = {}
+    for part in assembly.parts:
+        if not isinstance(part.shape, Box) and id(part.shape) not in found:
+            surface = part.shape.surface()
+            middle = around(Solid(surface))[0]
+            found[id(part.shape)] = Outline(TriangleMesh(surface.vertices - middle, surface.triangles), middle)
+    return [found.get(id(part.shape)) for part in assembly.parts]
 
 
 def part_in_tool(T_world_tool: Array, T_world_part: Array) -> Array:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, rotation_from_quaternion
+from takeapart.model.geometry import Array, Box, Shape, pose_inverse, rotation_from_quaternion
 from takeapart.verification.checks import unsupported
 from takeapart.verification.model import add_box, place_body
+from takeapart.verification.pieces import convex_pieces
 from takeapart.verification.report import Finding, VerificationOptions
 from takeapart.verification.robot import mujoco
+from takeapart.verification.solids import Solid
 
 TIMESTEP = 0.002  # s
 CONTACT_BITS = (1, 1)
@@ -73,22 +77,81 @@ def gravity_model(assembly: Assembly, state: int) -> mujoco.MjModel:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0  # stiff friction: bars at rest must not creep
-    for i, part in enumerate(assembly.parts):
-        if not part.fixed and not state >> i & 1:
-            continue
-        body = specification.worldbody.add_body(name=part.name)
-        place_body(body, part.T_world_part)
-        solid = part.shape.boxes()
-        for k, box in enumerate(assembly.body(i)):
-            geom = add_box(body, box, CONTACT_BITS)
-            share = float(np.prod(box.half_extents) / sum(np.prod(piece.half_extents) for piece in solid))
-            geom.mass = part.mass * share if k < len(solid) else 0.0  # connectors are light against the bars
+    friction = 0.4 if assembly.is_lifted else assembly.friction
+    for group in _fastened(assembly, state):
+        first = assembly.parts[group[0]]
+        body = specification.worldbody.add_body(name=first.name)
+        place_body(body, first.T_world_part)
+        for i in group:
+            T_body_part = np.eye(4)
+            if i != group[0]:
+                T_body_part = pose_inverse(first.T_world_part) @ assembly.parts[i].T_world_part
+            _add_part(specification, body, assembly, i, T_body_part)
+        for geom in body.geoms:
             geom.solref = [0.004, 1.0]
             geom.solimp = [0.95, 0.99, 0.0005, 0.5, 2.0]
-            geom.friction = [0.4, 0.005, 0.0001]
-        if not part.fixed:
+            geom.friction = [friction, 0.005, 0.0001]
+        if not any(assembly.parts[i].fixed for i in group):
             body.add_freejoint()
     return specification.compile()
+
+
+def _add_part(
+    specification: mujoco.MjSpec, body: mujoco.MjsBody, assembly: Assembly, i: int, T_body_part: Array
+) -> None:
+    """Gives a body the convex pieces of a part and the connectors that it hosts."""
+    part = assembly.parts[i]
+    pieces = pieces_of(part.shape) or []
+    volume = sum(each for _, each in pieces)
+    for k, (corners, share) in enumerate(pieces):
+        if isinstance(part.shape, Box):
+            geom = add_box(body, part.shape.bounding_box().moved(T_body_part), CONTACT_BITS)
+        else:
+            moved = corners @ T_body_part[:3, :3].T + T_body_part[:3, 3]
+            mesh = specification.add_mesh(name=f"{part.name}/{k}", uservert=moved.ravel())
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
+            geom.contype, geom.conaffinity = CONTACT_BITS
+        geom.mass = part.mass * share / volume
+    for connector in assembly.connectors:
+        for wall in connector.walls if connector.host == part.name else ():
+            add_box(body, wall.moved(T_body_part), CONTACT_BITS).mass = 0.0  # connectors are light against the bars
+
+
+def _fastened(assembly: Assembly, state: int) -> list[list[int]]:
+    """Numbers of the parts that are there, those together that joints fasten to each other: they move as one body."""
+    groups = {part.name: [i] for i, part in enumerate(assembly.parts) if part.fixed or state >> i & 1}
+    for joint in assembly.joints:
+        first, second = groups.get(joint.first), groups.get(joint.second)
+        if first is not None and second is not None and first is not second:
+            first += second
+            for i in second:
+                groups[assembly.parts[i].name] = first
+    return [group for name, group in groups.items() if assembly.parts[group[0]].name == name]
+
+
+def unjudged_parts(assembly: Assembly) -> tuple[int, ...]:
+    """Numbers of the parts that no few convex pieces make up: states with them are not judged under gravity."""
+    return tuple(i for i, part in enumerate(assembly.parts) if pieces_of(part.shape) is None)
+
+
+def judged_under_gravity(assembly: Assembly, state: int) -> bool:
+    """Whether every part of a state is known in convex pieces."""
+    return not any(assembly.parts[i].fixed or state >> i & 1 for i in unjudged_parts(assembly))
+
+
+def pieces_of(shape: Shape) -> list[tuple[Array, float]] | None:
+    """Corners (N, 3), m, and volumes, m^3, of the convex pieces of a shape; None where it has none, see
+    `convex_pieces`."""
+    if isinstance(shape, Box):
+        return [(shape.bounding_box().corners(), shape.volume())]
+    return _pieces_of(shape)  # type: ignore[arg-type]  # shapes are kept by identity
+
+
+@lru_cache(maxsize=512)
+def _pieces_of(shape: Shape) -> list[tuple[Array, float]] | None:
+    pieces = convex_pieces(Solid(shape.surface()))
+    return None if pieces is None else [(corners, float(ConvexHull(corners).volume)) for corners in pieces]
 
 
 def stand_under_gravity(

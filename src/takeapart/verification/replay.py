@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, Box, pose_inverse, rotation_from_quaternion
+from takeapart.model.geometry import Array, rotation_from_quaternion
 from takeapart.model.plan import PlanStep
 from takeapart.verification.checks import grasp_pose, path_length
 from takeapart.verification.model import Scene, part_in_tool
+from takeapart.verification.pads import check_pads
 from takeapart.verification.report import Clearance, Finding, VerificationOptions
+from takeapart.verification.start_contacts import StartContacts, check_drawn
 from takeapart.workcell import Workcell
-
-if TYPE_CHECKING:
-    from takeapart.verification.mesh_replay import MeshReplay
 
 ROUGHNESS = 4e-4  # m, error of the distances that `Scene.near` gives; measured: at most 3e-4
 
@@ -55,12 +53,7 @@ class Replay:
         self.options = options
         self.clearance = options.demanded_clearance(workcell)  # m
         self.scene = Scene(assembly, workcell, max(options.sight, self.clearance + 2 * ROUGHNESS))
-        self.lifts = assembly.is_lifted
-        self.meshes: MeshReplay | None = None
-        if assembly.has_meshes:
-            from takeapart.verification.mesh_replay import MeshReplay
-
-            self.meshes = MeshReplay(assembly, workcell, options, self.scene)
+        self.deepest: dict[tuple[str, str], float] = {}  # m, of contacts of the start, over all steps replayed
         self.neighbours = self.scene.touching_at_start(max(options.touching, self.clearance + options.penetration))
 
     def check_placement(self) -> list[Finding]:
@@ -70,8 +63,8 @@ class Replay:
                 Finding(None, "", None, "collision", f"{first} stands in {second}", depth)
                 for first, second, depth in self.scene.misplaced(self.options.penetration)
             ),
+            *check_drawn(self.neighbours, self.assembly, self.scene, self.options),
             *self._check_home(),
-            *(self.meshes.drawn() if self.meshes is not None else ()),
         ]
 
     def _check_home(self) -> list[Finding]:
@@ -112,16 +105,12 @@ class Replay:
             *check_tool_path(step, k, position_errors, angle_errors, options),
             *check_true_length(step, k, samples.positions, options),
             *check_start(step, k, T_world_grasp, positions[0], rotations[0], options),
-            *(check_lift(step, k, samples, self.workcell.lift_height, options) if self.lifts else ()),
+            *(check_lift(step, k, samples, self.workcell.lift_height, options) if self.assembly.is_lifted else []),
             *check_goal(step, k, positions[-1], self.workcell.goal, options),
         ]
         scene.place(step.joint_path[0])
         findings += self._check_fingers(step, k, number)
         collisions, clearance = self._check_collisions(step, k, number, samples)
-        if self.meshes is not None:
-            further, nearest = self.meshes.check(step, k, number, state, samples.configurations, samples.times)
-            collisions += further
-            clearance = min((c for c in (clearance, nearest) if c), key=lambda c: c.distance, default=None)
         return StepResult(
             tuple(findings + collisions),
             len(samples.times),
@@ -152,11 +141,6 @@ class Replay:
             *(g for link in scene.carried_links for g in scene.geoms(link)),
         ]
         points = np.vstack([np.zeros(3), scene.corners_in_tool(carried)])  # (P, 3) m, tool frame
-        part = self.assembly.parts[number]
-        if not isinstance(part.shape, Box):
-            T_tool_part = pose_inverse(grasp_pose(step.grasp)) @ part.T_world_part
-            corners = part.shape.bounding_box().moved(T_tool_part).corners()
-            points = np.vstack([points, corners])
         rows = np.asarray(step.joint_path, dtype=float)
         times = np.arange(len(rows), dtype=float)
         configurations = rows
@@ -182,18 +166,20 @@ class Replay:
         the gripper cut into it. Constant along the path."""
         scene, options = self.scene, self.options
         held = scene.geoms(scene.held_bodies[number])
-        shape = self.assembly.parts[number].shape
-        body = held[: len(shape.boxes())] if isinstance(shape, Box) else []  # the rest are connector walls
+        meshed = held[0] in scene.exact.geoms
+        body = held[:1]  # the rest are connector walls
         findings = check_gripper(step, k, scene, options)
-        for side in scene.sides if body else ():  # how a mesh is held, its triangles say
+        if meshed:
+            findings += check_pads(step, k, scene, held[0], options)
+        for side in scene.sides:
             gap = min(scene.distance(a, b) for link in side for a in scene.geoms(link) for b in body)
-            if gap > options.finger_gap:
+            if not meshed and gap > options.finger_gap:
                 names = " and ".join(side)
                 message = f"{names} {'does' if len(side) == 1 else 'do'} not touch {step.part!r}"
                 findings.append(Finding(k, step.part, 0.0, "finger_contact", message, gap))
-        for link in scene.carried_links if held else ():
+        for link in scene.carried_links:
             shortfall, distance = max(
-                (self._required_of_hand(link, b in body) - gap, gap)
+                (self._required_of_hand(link, b in body, meshed) - gap, gap)
                 for a in scene.geoms(link)
                 for b in held
                 for gap in (scene.distance(a, b),)
@@ -205,11 +191,11 @@ class Replay:
                 findings.append(Finding(k, step.part, 0.0, "collision", message, depth))
         return findings
 
-    def _required_of_hand(self, link: str, of_part: bool) -> float:
+    def _required_of_hand(self, link: str, of_part: bool, meshed: bool) -> float:
         """Distance, m, that a link which does not move relative to the held part keeps from it: fingers touch the part
         itself, but not the connectors that it carries."""
-        if link in self.scene.finger_bodies:
-            return -self.options.penetration if of_part else self.clearance
+        if link in self.scene.finger_bodies and of_part:
+            return -(self.options.pad_depth if meshed else self.options.penetration)
         return self.clearance
 
     def _check_collisions(
@@ -219,22 +205,28 @@ class Replay:
         scene, options = self.scene, self.options
         held, static = scene.geoms(scene.held_bodies[number]), scene.geoms(scene.static_bodies[number])
         twin = dict(zip(held, static, strict=True))
+        contacts = StartContacts(self.neighbours, twin, self.clearance, self.assembly, scene, options)
         deepest: dict[tuple[str, str], Finding] = {}
         least: dict[tuple[str, str], float] = {}  # distance of the deepest
         clearance: Clearance | None = None
         for s, configuration in enumerate(samples.configurations):
             scene.place(configuration)
-            for (a, b), rough in self._pairs().items():
-                required, start = self.clearance, None
-                if s < samples.lifted and (a in twin) != (b in twin):
-                    start = self.neighbours.get((twin.get(a, a), twin.get(b, b)))
-                if start is not None:
-                    required = max(min(self.clearance, start - options.penetration), -options.penetration)
+            pairs = self._pairs()
+            contacts.end_unseen(pairs)
+            for (a, b), rough in pairs.items():
+                start = contacts.required(a, b, s < samples.lifted)
                 closest = clearance.distance if clearance is not None else math.inf
-                if rough >= (required if start is not None else max(required, closest)) + ROUGHNESS:
+                limit = max(self.clearance, closest) if start is None else contacts.looked_at(start)
+                if rough >= limit + ROUGHNESS:
+                    contacts.note(a, b, rough - ROUGHNESS)
                     continue
                 distance = scene.distance(a, b)
+                contacts.note(a, b, distance)
+                start = contacts.required(a, b, s < samples.lifted)
+                required = self.clearance if start is None else start
                 time, names = float(samples.times[s]), (scene.label(a), scene.label(b))
+                if start is not None and distance < 0 and self.assembly.has_meshes:
+                    self.deepest[names] = max(self.deepest.get(names, 0.0), -distance)
                 if start is None and distance < closest:
                     clearance = Clearance(distance, k, step.part, time, *names)
                 if distance < min(required, least.get(names, math.inf)):

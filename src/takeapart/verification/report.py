@@ -64,6 +64,10 @@ class VerificationOptions:
         lift_angle_tolerance: the tool turns at most this much during the lift, between rows too.
         penetration: depth up to which things that rest on each other at the start may overlap (rounding of drawings).
         touching: parts closer than this at the start are neighbours (connectors leave 0.5 mm play).
+        overlap_limit: depth up to which meshes may overlap as drawn, and on their way out; pairs that the assembly
+            allows to overlap may be in each other as deep as they are drawn, and by `penetration` more.
+        pad_gap, pad_depth, pad_area: of what is gripped and is no box: each pad must be within this distance of so much
+            of the surface, m^2, seen along the closing direction, and no deeper in it than this.
         width_tolerance: difference of the opening and the part's extent along the closing axis.
         square_tolerance: angle between the closing axis and the normals of the gripped faces.
         finger_gap: largest distance of the fingers of each side from the held part, and of their pads from where the
@@ -85,6 +89,10 @@ class VerificationOptions:
     lift_angle_tolerance: float = math.radians(0.05)
     penetration: float = 1e-4
     touching: float = 1e-3
+    overlap_limit: float = 5e-4
+    pad_gap: float = 5e-4
+    pad_depth: float = 5e-4
+    pad_area: float = 1e-5
     width_tolerance: float = 1e-5
     square_tolerance: float = math.radians(0.05)
     finger_gap: float = 1e-4
@@ -164,9 +172,8 @@ class VerificationReport:
         seconds: wall time.
         clearances: the smallest one of every step that was replayed, in the order of disassembly; None as above.
         motion: hash of what the plan has the arm do, see `takeapart.formats.serialization.motion_hash`.
-        contacts: how deep, m, held parts were in others while they slid out, per pair, deepest first.
-        open_parts: names of the parts whose surface is not closed: judged by where surfaces cross, not by volumes.
-        meshes: names of the parts that are meshes.
+        unjudged: what could not be judged of this product, one line each.
+        contacts: how deep, m, held parts were in what they slid out of, per pair, deepest first.
     """
 
     plan: str
@@ -180,23 +187,14 @@ class VerificationReport:
     options: VerificationOptions = field(default_factory=VerificationOptions)
     clearances: tuple[Clearance | None, ...] = ()
     motion: str = ""
+    unjudged: tuple[str, ...] = ()
     contacts: tuple[tuple[str, str, float], ...] = ()
-    open_parts: tuple[str, ...] = ()
-    meshes: tuple[str, ...] = ()
 
     @property
     def not_checked(self) -> tuple[str, ...]:
         """What the plan states and this report says nothing about."""
-        left_out = list(NOT_CHECKED)
-        if self.meshes:
-            left_out.append(f"whether the parts stand under gravity ({len(self.meshes)} of them are meshes)")
-        elif not self.states:
-            left_out.append("whether the parts stand under gravity")
-        if self.open_parts:
-            left_out.append(
-                f"what is inside open surfaces, judged only by where they cross: {', '.join(self.open_parts)}"
-            )
-        return tuple(left_out)
+        known = NOT_CHECKED if self.states else (*NOT_CHECKED, "whether the parts stand under gravity")
+        return (*known, *self.unjudged)
 
     @property
     def passed(self) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 
 from takeapart.formats.serialization import assembly_hash, motion_hash, workcell_hash, workcell_hash_by_name
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Box
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.verification.checks import (
     check_bound,
@@ -33,7 +32,9 @@ from takeapart.verification.checks import (
 )
 from takeapart.verification.physics import (
     StandingReport,
+    judged_under_gravity,
     stand_under_gravity,
+    unjudged_parts,
 )
 from takeapart.verification.replay import Replay, StepResult
 from takeapart.verification.report import (
@@ -83,12 +84,11 @@ class Verifier:
     ) -> None:
         self.assembly, self.workcell = assembly, workcell
         self.options = options or VerificationOptions()
-        if hashes is None:
-            hashes = {"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)}
-        self.hashes = hashes
+        computed = {"assembly": assembly_hash(assembly), "workcell": workcell_hash(workcell)}
+        self.hashes = computed if hashes is None else hashes
         self._hash_by_name = workcell_hash_by_name(workcell)
         self.replay = Replay(assembly, workcell, self.options)
-        self.support = None if assembly.has_meshes else Support(assembly)
+        self.support = Support(assembly) if assembly.is_lifted else None  # elsewhere friction and joints hold too
         self._steps: dict[bytes, StepResult] = {}
         self._standing: dict[int, StandingReport] = {}
 
@@ -140,14 +140,14 @@ class Verifier:
             findings += check_total(plan, options)
         findings += check_bound(plan, assembly, workcell, options)
         states = states_of(plan, assembly)
-        if self.support is not None:  # these read boxes, and a mesh has none: the report says so
+        if self.support is not None:
             findings += check_stability(plan, assembly)
             findings += check_support(self.support, states, [step.part for step in plan.steps])
-        states = states if physics and self.support is not None else []
-        for k, standing in enumerate(states):
+        judged = [k for k, each in enumerate(states) if physics and judged_under_gravity(assembly, each)]
+        for k in judged:
             before = plan.steps[k - 1].part if k else ""
             findings += [
-                replace(finding, step=k - 1 if k else None, part=before) for finding in self.stand(standing).findings
+                replace(finding, step=k - 1 if k else None, part=before) for finding in self.stand(states[k]).findings
             ]
         findings.sort(key=lambda finding: -1 if finding.step is None else finding.step)
         clearances = [result.clearance for result in results if result.clearance is not None]
@@ -158,25 +158,38 @@ class Verifier:
             configurations=sum(result.configurations for result in results),
             smallest_clearance=min(clearances, key=lambda clearance: clearance.distance, default=None),
             agreement=_agreement(plan, assembly, workcell, results),
-            states=len(states),
+            states=len(judged),
             seconds=time.perf_counter() - started,
             options=options,
             clearances=tuple(result.clearance for result in results),
             motion=motion_hash(plan),
-            contacts=self._contacts(),
-            open_parts=() if self.replay.meshes is None else self.replay.meshes.open_parts,
-            meshes=tuple(part.name for part in assembly.parts if not isinstance(part.shape, Box)),
+            unjudged=self._unjudged(physics),
+            contacts=tuple((*pair, depth) for pair, depth in sorted(self.replay.deepest.items(), key=lambda c: -c[1])),
         )
-
-    def _contacts(self) -> tuple[tuple[str, str, float], ...]:
-        found = {} if self.replay.meshes is None else self.replay.meshes.deepest
-        return tuple(sorted(((a, b, depth) for (a, b), depth in found.items()), key=lambda contact: -contact[2]))
 
     def _hashes_for(self, plan: Plan) -> Mapping[str, str]:
         """The hashes that a plan must have; of a file of version 1 also the workcell's by the name of its robot."""
         if not plan.joints and "workcell" in self.hashes and plan.hashes.get("workcell") == self._hash_by_name:
             return {**self.hashes, "workcell": self._hash_by_name}
         return self.hashes
+
+    def _unjudged(self, physics: bool) -> tuple[str, ...]:
+        """What cannot be judged of this product."""
+        assembly, lines = self.assembly, []
+        outlines = self.replay.scene.outlines
+        opened = [
+            part.name for part, solid in zip(assembly.parts, outlines, strict=True) if solid and not solid.is_closed
+        ]
+        if opened:
+            lines.append(f"what is inside of {', '.join(opened)} (open surfaces; crossing triangles are seen)")
+        if physics:
+            rough = [assembly.parts[i].name for i in unjudged_parts(assembly)]
+            if rough:
+                lines.append(f"gravity in states with {', '.join(rough)} (not convex, and no few convex pieces)")
+            if assembly.joints:
+                names = ", ".join(joint.name for joint in assembly.joints)
+                lines.append(f"strength of joints (taken as rigid under gravity: {names})")
+        return tuple(lines)
 
     def stand(self, state: int) -> StandingReport:
         """What happens to a state under gravity."""
