@@ -114,7 +114,7 @@ def no_workcell(folder: Path) -> None:
         (empty, "two-bars.json: the file is empty"),
         (truncated, "two-bars.json: not valid JSON: it ends too early"),
         (wrong_version, "two-bars.json: version: version 3; this release reads version 1 and 2"),
-        (floating_part, "floating: parts: part 'stub' floats: nothing carries it"),
+        (floating_part, "floating: parts: part 'stub' drops: nothing that it touches is below it"),
         (overlapping_parts, "two-bars.json: parts: parts 'beam' and 'stub' overlap by 4.50 mm"),
         (no_file, "two-bars.json: there is no such file"),
         (another_format, "two-bars.json: format: format 'takeapart/plan'; must be 'takeapart/assembly'"),

@@ -35,6 +35,7 @@ COMMANDS = {
     "plan": ["a.json"],
     "show": ["p.json"],
     "explain": ["a.json"],
+    "import": ["parts", "--unit", "m", "--out", "o"],
     "assemble": ["p.json", "--out", "o.json"],
     "verify": ["p.json", "--assembly", "a.json", "--workcell", "cell.toml"],
     "view": ["p.json", "--html", "o.html", "--assembly", "a.json", "--workcell", "cell.toml"],
@@ -59,6 +60,15 @@ HOSTILE = {
     "through a file": "a.json/file",
     "closed": "closed/file",  # last: the others have imported what the command needs, perhaps from a closed folder
 }
+SOLID = "solid bar\n" + "".join(
+    f"facet normal 0 0 0\nouter loop\n{''.join(f'vertex {x} {y} {z}' + chr(10) for x, y, z in corners)}endloop\nendfacet\n"
+    for corners in (
+        ((0, 0, 0), (0, 0.1, 0), (0.1, 0, 0)),
+        ((0, 0, 0), (0.1, 0, 0), (0, 0, 0.1)),
+        ((0, 0, 0), (0, 0, 0.1), (0, 0.1, 0)),
+        ((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)),
+    )
+) + "endsolid bar\n"  # fmt: skip
 
 
 def path_options(name: str) -> list[str]:
@@ -108,6 +118,8 @@ def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     save_plan(scene_plan(), here / "p.json")
     (here / "cell.toml").write_text(WORKCELL)
     (here / "seen").mkdir()
+    (here / "parts").mkdir()
+    (here / "parts" / "bar.stl").write_text(SOLID)
     (here / "closed").mkdir(0)
     for ending in {"", *ENDINGS.values()}:
         (here / f"loop{ending}").symlink_to(f"loop{ending}")

@@ -101,7 +101,7 @@ def test_pads_lie_on_the_part_and_fingers_beside_it(name: str) -> None:
     body = BODIES[name]
     part = part_of(body, pose((0.4, 0.1, 0.2), (0.9, 0.1, 0.3, -0.2)))
     found = shortest_first(part, cell())
-    assert 0 < len(found) <= 120 and len(found) % 2 == 0
+    assert 0 < len(found) <= 480 and len(found) % 2 == 0
     for grasp in found[::6]:
         assert grasp.width <= cell().description.maximum_opening
         assert (pad_hits(body, grasp) * 4 * PAD[0] * PAD[1] >= 0.8 * LEAST_CONTACT).all()
@@ -223,7 +223,7 @@ def test_a_drawing_turned_about_the_vertical_has_the_same_grasps(name: str) -> N
     for grasp in other[:4]:
         moved = back @ grasp.T_part_tool
         assert any(
-            np.linalg.norm(moved[:3, 3] - one.T_part_tool[:3, 3]) < 0.012
+            np.linalg.norm(moved[:3, 3] - one.T_part_tool[:3, 3]) < 0.02
             and abs(moved[2, 2] - one.T_part_tool[2, 2]) < 0.05
             for one in plain
         )

@@ -59,6 +59,7 @@ LENGTH = Millimetres()
 
 @click.command(
     "import",
+    short_help="Make a product of a STEP file, or of a folder of meshes.",
     epilog=examples(
         "takeapart import gearbox.step --out gearbox/",
         "takeapart import parts/ --unit mm --fix base --out product/",

@@ -180,6 +180,8 @@ def _minimum(cost: Array, balance: csc_array, wanted: Array, upper: Array) -> Ar
 
     HiGHS, without presolve, is twice as fast on these programs, and this way to it costs less than `linprog`.
     """
+    from scipy.optimize import Bounds, LinearConstraint, milp  # heavy; most products need no statics
+
     bounds, equal = Bounds(np.zeros(len(upper)), upper), LinearConstraint(balance, wanted, wanted)
     for presolve in (False, True):
         found = milp(cost, constraints=equal, bounds=bounds, options={"presolve": presolve})
