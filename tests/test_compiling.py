@@ -19,6 +19,7 @@ from takeapart.formats.files import load_workcell
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Box, pose
 from takeapart.model.plan import Grasp
+from takeapart.problem import Standing
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
