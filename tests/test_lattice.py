@@ -27,7 +27,10 @@ from takeapart.search.lattice import (
     enumerate_states,
 )
 from takeapart.search.lattice_bounds import LatticeBounds, SequenceBounds
+from takeapart.search.lattice_standing import LatticeStanding
 from takeapart.search.orders import smallest_states
+from takeapart.search.result import Budget
+from takeapart.search.session import Session
 from takeapart.states import pack, unpack
 
 
@@ -217,7 +220,8 @@ def test_bounds_of_all_edges_and_sequences_equal_those_of_single_edges(seed: int
     rng = np.random.default_rng(seed)
     bounds = EdgeBounds([0.3] * (max(numbers) + 1))
     table = LatticeBounds(lattice, bounds)
-    sequences = SequenceBounds(lattice, LatticeBounds(lattice, bounds))
+    standing = LatticeStanding(lattice, Session(problem, Budget()))
+    sequences = SequenceBounds(lattice, LatticeBounds(lattice, bounds), standing)
     before = table.lower.copy()
     for _ in range(30):
         for _ in range(int(rng.integers(1, 4))):
