@@ -15,15 +15,17 @@ Search = Callable[[SyntheticProblem, ProgressListener], SearchResult]
 
 
 class MaskedProblem(SyntheticProblem):
-    """The same problem, with its gravity as `freedom` and a static bound per part."""
+    """The same problem, with its gravity and ways out as `freedom` and a static bound per part."""
 
     def __init__(self, problem: SyntheticProblem, static_share: float = 0.8) -> None:
-        super().__init__(problem.hidden, problem.gravity, None, problem.noise, problem.seed)
+        super().__init__(
+            problem.hidden, problem.gravity, None, problem.noise, problem.seed, problem.ways, problem.falls
+        )
         self.static_share = static_share
 
     @property
     def freedom(self) -> list[tuple[int, ...]]:
-        return [(mask,) for mask in self.gravity]
+        return [tuple(way | mask for way in ways) for mask, ways in zip(self.gravity, self.ways, strict=True)]
 
     def static_lower(self, part: int) -> float:
         return self.static_share * min((each.length for each in self.hidden[part]), default=0.0)

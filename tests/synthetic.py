@@ -1,10 +1,11 @@
 """Synthetic problems with known optima, for the tests of the searches.
 
 Every part has hidden removals (length, blockers). Its cost in a state is the shortest hidden removal whose blockers are
-all gone; gravity masks say which parts must be gone before it may leave. Both are monotone: with fewer parts present
-nothing gets longer or blocked. Hence a feasible problem of this kind has no dead ends at all (any witness order, with
-the parts already gone left out, goes on from every state); `needs` (a part may leave only while others are still there)
-breaks the monotony of the candidates, never of the costs, and so makes dead ends in feasible problems.
+all gone; gravity masks say which parts must be gone before it may leave, and of its ways out any must be free. All are
+monotone: with fewer parts present nothing gets longer or blocked. Hence a feasible problem of this kind has no dead
+ends at all (any witness order, with the parts already gone left out, goes on from every state). Two things break that,
+and so make dead ends in feasible problems: `needs` (a part may leave only while others are still there) breaks the
+monotony of the candidates, never of the costs; states that do not stand may not be entered.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from takeapart.model.plan import Grasp
-from takeapart.problem import Guide
+from takeapart.problem import Guide, Standing
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
 
@@ -54,6 +55,8 @@ class SyntheticProblem:
         hidden: removals per part.
         gravity: per part the mask of parts that must be gone before it may leave.
         needs: per part the mask of parts that must still be there; zero (monotone) by default.
+        ways: per part masks of which one must be gone altogether before it may leave; by default one, with no part.
+        falls: of the states that do not stand what falls in them; by default all stand.
         noise: a found removal is longer than the hidden one by a random share up to this (a sampling planner).
         seed: of the noise; the draws depend on seed, state, part and how often this edge was planned, nothing else.
     """
@@ -65,10 +68,16 @@ class SyntheticProblem:
         needs: Sequence[int] | None = None,
         noise: float = 0.0,
         seed: int = 0,
+        ways: Sequence[Sequence[int]] | None = None,
+        falls: Mapping[int, int] | None = None,
     ) -> None:
         self.hidden = [sorted(removals, key=lambda removal: removal.length) for removals in hidden]
         self.gravity = list(gravity) if gravity is not None else [0] * len(hidden)
         self.needs = list(needs) if needs is not None else [0] * len(hidden)
+        self.ways = [list(masks) for masks in ways] if ways is not None else [[0] for _ in hidden]
+        self.falls = dict(falls) if falls is not None else {}
+        self.standing = Standing(self._fallen_in if self.falls else None)
+        self.asked_states: list[int] = []  # whether they stand, in order
         self.noise, self.seed = noise, seed
         self.root = (1 << len(hidden)) - 1
         self.counts = Counts()
@@ -97,7 +106,7 @@ class SyntheticProblem:
                 found: tuple[float, tuple[int, ...]] = (math.inf, ())
                 for part in self.candidates(state):
                     cost = self.true_cost(state, part)
-                    if cost < math.inf:
+                    if cost < math.inf and self.stands(state & ~(1 << part)):
                         rest, order = solve(state & ~(1 << part))
                         if cost + rest < found[0]:
                             found = (cost + rest, (part, *order))
@@ -118,6 +127,8 @@ class SyntheticProblem:
                 return math.inf
             length += self.true_cost(state, part)
             state &= ~(1 << part)
+            if not self.stands(state):
+                return math.inf
         return length if state == 0 else math.inf
 
     def reachable(self) -> dict[int, list[int]]:
@@ -127,11 +138,28 @@ class SyntheticProblem:
         while waiting:
             state = waiting.pop()
             if state not in found:
-                found[state] = [part for part in self.candidates(state) if self.true_cost(state, part) < math.inf]
+                found[state] = self.removable(state)
                 waiting += [state & ~(1 << part) for part in found[state]]
         return found
 
+    def removable(self, state: int) -> list[int]:
+        """Parts that may leave a state in truth."""
+        return [
+            part
+            for part in self.candidates(state)
+            if self.true_cost(state, part) < math.inf and self.stands(state & ~(1 << part))
+        ]
+
+    def stands(self, state: int) -> bool:
+        """Whether a state may be entered."""
+        return not self.falls.get(state, 0)
+
     # What a search sees.
+
+    def _fallen_in(self, state: int) -> int:
+        assert state
+        self.asked_states.append(state)
+        return self.falls.get(state, 0)
 
     @property
     def freedom(self) -> Sequence[tuple[int, ...]] | None:
@@ -157,7 +185,9 @@ class SyntheticProblem:
         return [
             part
             for part in members(state)
-            if not self.gravity[part] & state and self.needs[part] & state == self.needs[part]
+            if not self.gravity[part] & state
+            and self.needs[part] & state == self.needs[part]
+            and any(not way & state for way in self.ways[part])
         ]
 
     def upper(self, state: int, part: int) -> float:
@@ -222,7 +252,15 @@ class InterruptedProblem(SyntheticProblem):
     """The same problem with Ctrl-C while the n-th counted query runs."""
 
     def __init__(self, problem: SyntheticProblem, interrupt_at: int) -> None:
-        super().__init__(problem.hidden, problem.gravity, problem.needs, problem.noise, problem.seed)
+        super().__init__(
+            problem.hidden,
+            problem.gravity,
+            problem.needs,
+            problem.noise,
+            problem.seed,
+            problem.ways,
+            problem.falls,
+        )
         self.interrupt_at = interrupt_at
 
     def _plan(self, state: int, part: int, effort: Effort) -> Removal | None:
@@ -302,3 +340,29 @@ def problem_with_dead_ends(parts: int, seed: int) -> SyntheticProblem:
         if any(state and not removable for state, removable in trial.reachable().items()):
             return trial
     raise AssertionError(f"no dead ends with parts={parts}, seed={seed}")
+
+
+def problem_with_many_ways(parts: int, seed: int, feasible: bool = True) -> SyntheticProblem:
+    """A random monotone problem in which a part has none to four ways out; about half have an order if `feasible`."""
+    problem = random_problem(parts, seed, feasible=feasible)
+    rng = np.random.default_rng((seed, parts, 2))
+    problem.ways = [
+        [_some(rng, parts, part, 1.5 / parts) for _ in range(int(rng.integers(0 if rng.random() < 0.05 else 1, 5)))]
+        for part in range(parts)
+    ]
+    return problem
+
+
+def problem_that_may_fall(parts: int, seed: int, share: float = 0.4) -> SyntheticProblem:
+    """A random problem with several ways out a part, of whose states so many, drawn at random, do not stand."""
+    problem = problem_with_many_ways(parts, seed)
+    rng = np.random.default_rng((seed, parts, 3))
+    falls = {}
+    for state in range(1, 1 << parts):
+        if rng.random() < share:
+            falls[state] = 1 << int(rng.choice(members(state)))
+    return SyntheticProblem(problem.hidden, problem.gravity, seed=seed, ways=problem.ways, falls=falls)
+
+
+def _some(rng: np.random.Generator, parts: int, besides: int, chance: float) -> int:
+    return sum(1 << other for other in range(parts) if other != besides and rng.random() < chance)

@@ -19,6 +19,7 @@ from takeapart.formats.files import load_workcell
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Box, pose
 from takeapart.model.plan import Grasp
+from takeapart.problem import Standing
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.result import Blocked, Counts, Effort, Removal
@@ -80,7 +81,7 @@ class TwoParts:
     freedom = ((0,), (0,))  # with it the enumeration of states is the compiled one
 
     def __init__(self) -> None:
-        self.counts, self.edge_bounds = Counts(), EdgeBounds([0.0, 0.0])
+        self.counts, self.edge_bounds, self.standing = Counts(), EdgeBounds([0.0, 0.0]), Standing()
 
     def candidates(self, state: int) -> Sequence[int]:
         return [part for part in range(2) if state >> part & 1]

@@ -17,8 +17,10 @@ from takeapart.removal.result import Blocked, Effort, Removal
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.lattice import Lattice, enumerate_states
 from takeapart.search.lattice_bounds import LatticeBounds
+from takeapart.search.lattice_standing import LatticeStanding
 from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, SearchResult
+from takeapart.search.session import Session
 
 
 class SecondTry(MaskedProblem):
@@ -238,7 +240,8 @@ def test_what_is_planned_again_is_what_the_shortest_sequence_by_hopes_rests_on(o
         lattice = enumerate_states(problem, 1000)
         assert isinstance(lattice, Lattice)
         known = LatticeBounds(lattice, bounds)
-        refinement = Refinement(lattice, bounds, known, 2, RefinementOptions(optimism=optimism, worth=0.0))
+        standing = LatticeStanding(lattice, Session(problem, Budget()))
+        refinement = Refinement(lattice, bounds, known, standing, 2, RefinementOptions(optimism=optimism, worth=0.0))
         truth = ByHand(problem, bounds, optimism)
         tries = {(closed.state, part): 1 for part in range(5) for closed in bounds.closed_edges(part)}
         for k in range(4):

@@ -49,6 +49,13 @@ class Problem(Protocol):
         ...
 
     @property
+    def standing(self) -> Standing:
+        """Which states may be entered: no removal may lead to one that does not stand. `candidates`, `lower`, `upper`
+        and `remove` take every state as standing: searches ask for the states on the way that they propose.
+        """
+        ...
+
+    @property
     def edge_bounds(self) -> EdgeBounds:
         """Bounds on the cost of all edges, into which searches write what they learn; searches on one problem may share
         them. A search asks for them once.
@@ -112,14 +119,12 @@ class AssemblyProblem:
         self.root = assembly.root
         self.counts: Counts = planner.counts
         movable = members(self.root)
-        masks: list[tuple[int, ...]] = [()] * len(assembly.parts)
+        self.freedom: list[tuple[int, ...]] = [()] * len(assembly.parts)
         for part in movable:
             if planner.is_graspable(part):
                 dependents = self._dependents(part, self.root)
-                masks[part] = tuple(mask | dependents for mask in planner.freedom(part))
-        self._masks = masks
+                self.freedom[part] = tuple(mask | dependents for mask in planner.freedom(part))
         self.standing = standing_by(stability) if isinstance(stability, Statics) else Standing()
-        self.freedom: list[tuple[int, ...]] | None = masks if self.standing.always else None
         bounds = [planner.candidate_bound(part) if part in movable else 0.0 for part in range(len(assembly.parts))]
         self.edge_bounds = library or EdgeBounds([bound if math.isfinite(bound) else 0.0 for bound in bounds])
         self._asked: dict[tuple[int, int], int] = {}
@@ -138,11 +143,7 @@ class AssemblyProblem:
 
     def candidates(self, state: int) -> list[int]:
         """Parts that gravity, their exits and the gripper's limits let go in this state, ascending."""
-        return [
-            part
-            for part in members(state)
-            if any(not mask & state for mask in self._masks[part]) and not self.standing.fallen(state & ~(1 << part))
-        ]
+        return [part for part in members(state) if any(not mask & state for mask in self.freedom[part])]
 
     def upper(self, state: int, part: int) -> float:
         """Length of the shortest known removal that is valid here, m; infinite if none is known."""

@@ -18,6 +18,7 @@ bounds.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -127,11 +128,19 @@ class _BestFirst:
         """Until the order is proved best, no order is left, the weights are used up, or memory is."""
         self.lazy.ask_alone(self.orders.smallest)
         while not self.attempt():
-            refused = self.lazy.doubtful_refusals(sorted(self.session.dead_ends, key=int.bit_count))
+            refused = self.lazy.doubtful_refusals(self.dead_ends())
             if not refused:
                 self.session.infeasible = True
                 return
             self.edge_queries.ask(refused, self.options.second_look)
+
+    def dead_ends(self) -> Iterator[int]:
+        """Dead ends of which a doubtful refusal may be the cause. If every state stands, those told are enough: each of
+        them says that there is no order.
+        """
+        yield from sorted(self.session.dead_ends, key=int.bit_count)
+        if self.sweep is not None and not self.session.standing.always:
+            yield from (state for state in sorted(self.sweep.g) if self.orders.is_dead_end(state))
 
     def attempt(self) -> bool:
         """Descend, improve, and prove; False at dead ends that leave no order."""

@@ -115,9 +115,16 @@ class EdgeQueries:
         self._bounds.close(state, part, None if known or isinstance(answer, Removal) else answer)
 
 
+def _refusal(problem: Problem, bounds: EdgeBounds, state: int, part: int) -> Blocked:
+    fallen = problem.standing.known(state & ~(1 << part))
+    if fallen:
+        return Blocked(part, "stability", fallen)
+    return bounds.refusal(state, part) or Blocked(part, "path", state & ~(1 << part))
+
+
 def refusals_in(problem: Problem, bounds: EdgeBounds, state: int) -> list[Blocked]:
     """Why each part of a dead end cannot leave: what the planner said or, where nothing may be lifted, what hinders."""
     parts = problem.candidates(state)
     if parts:
-        return [bounds.refusal(state, part) or Blocked(part, "path", state & ~(1 << part)) for part in parts]
+        return [_refusal(problem, bounds, state, part) for part in parts]
     return [refusal for part in members(state) if (refusal := problem.hindrance(state, part)) is not None]

@@ -21,6 +21,7 @@ What the numbers are:
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from takeapart.model.errors import InputError
@@ -29,6 +30,7 @@ from takeapart.search.best_first import BestFirstOptions, continue_best_first
 from takeapart.search.edge_queries import Edge, EdgeQueries, refusals_in
 from takeapart.search.lattice import Lattice, TooLarge, enumerate_states
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
+from takeapart.search.lattice_standing import LatticeStanding
 from takeapart.search.lazy_edges import LazyEdges, telling
 from takeapart.search.refinement import Refinement, RefinementOptions
 from takeapart.search.result import Budget, ProgressListener, SearchResult
@@ -145,9 +147,10 @@ class _LazySearch:
         session, bounds = self.session, self.bounds
         session.look_at_clock()
         edges = LatticeBounds(lattice, bounds)
-        self.sequences = SequenceBounds(lattice, edges)
+        self.standing = LatticeStanding(lattice, session)
+        self.sequences = SequenceBounds(lattice, edges, self.standing)
         self.refinement = Refinement(
-            lattice, bounds, edges, options.attempts, options.refinement, session.look_at_clock
+            lattice, bounds, edges, self.standing, options.attempts, options.refinement, session.look_at_clock
         )
         session.look_at_clock()
 
@@ -166,8 +169,11 @@ class _LazySearch:
         attempts: int | list[int]
         while True:
             self.settle()
+            if not self.standing.always and self.session.bound < self.session.best[0]:
+                self.sequences.find_standing(session.best[0] - TOLERANCE)
+                self.settle()
             if math.isinf(self.sequences.lower):
-                batch, attempts = self.lazy.doubtful_refusals(session.dead_ends), self.options.second_look
+                batch, attempts = self.lazy.doubtful_refusals(self.dead_ends()), self.options.second_look
             elif session.best[0] <= (1 + self.options.gap) * session.bound + TOLERANCE:
                 session.statistics.setdefault("closed_length", session.best[0])
                 session.statistics.setdefault("closed_queries", session.clock.queries)
@@ -211,6 +217,15 @@ class _LazySearch:
         }
         session.report()
 
+    def dead_ends(self) -> Iterator[int]:
+        """Dead ends of which a doubtful refusal may be the cause. If every state stands, those told are enough: each of
+        them says that there is no order.
+        """
+        if self.standing.always:
+            yield from self.session.dead_ends
+        else:
+            yield from (self.lattice.state(row) for row in self.sequences.dead_ends(None, only_standing=False))
+
     def descend(self) -> None:
         """Follow the most promising part from state to state, so that there is a plan early; ends at a dead end."""
         rows = {self.session.problem.root: 0}
@@ -221,7 +236,7 @@ class _LazySearch:
             through = {part: self.sequences.bound_through(edge) for part, edge in edges.items()}
             return {part: bound for part, bound in through.items() if math.isfinite(bound)}
 
-        self.lazy.descend(promise)
+        self.lazy.descend(promise, lambda state: self.standing.ask(rows[state]))
 
     def most_telling(self) -> list[Edge]:
         """Open edges of the sequence that looks best."""

@@ -4,6 +4,10 @@ A new removal can only change edges of its part in states that share nothing wit
 edges of its part in supersets of its state. Both are one compiled pass over the edges of one part. Only where a removal
 undercuts a closed edge (the planner found in a larger state what it missed in a smaller one), the bounds of that part
 are computed afresh.
+
+Whether a state stands is kept apart from the bounds of edges: it says nothing about smaller or larger states. A state
+that was not asked for counts as standing where the least is wanted that a sequence can cost, and as fallen where a
+sequence is wanted that is known to work.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from numpy.typing import NDArray
 from takeapart.compilation import compiled
 from takeapart.removal.bounds import ClosedEdge, EdgeBounds
 from takeapart.search.lattice import Lattice, Values, cost_from_root, cost_to_go
+from takeapart.search.lattice_standing import LatticeStanding
 from takeapart.states import pack
 
 TOLERANCE = 1e-9  # m; sums of the same lengths in another order differ by less
@@ -111,31 +116,72 @@ class SequenceBounds:
 
     Attributes:
         lower: no sequence is shorter, m, as far as the lower bounds go; or it is above `upper`, which then is best.
-        upper: length of the shortest sequence of known removals, m.
+        upper: length of the shortest sequence of known removals through states that are known to stand, m.
         rows: of the states that still matter, ascending.
     """
 
-    def __init__(self, lattice: Lattice, edges: EdgeCosts) -> None:
-        self._lattice, self._edges = lattice, edges
+    def __init__(self, lattice: Lattice, edges: EdgeCosts, standing: LatticeStanding) -> None:
+        self._lattice, self._edges, self._standing = lattice, edges, standing
+        self._answers = 0  # of `standing` that were taken in
         self._all_rows = np.arange(len(lattice.states) - (lattice.goal >= 0), dtype=np.int32)  # the goal is last
         self.rows: NDArray[np.int32] = self._all_rows
         self._to_go = np.zeros(len(lattice.states))  # over lower
-        self._known = np.zeros(len(lattice.states))  # over upper
+        self._known = np.full(len(lattice.states), math.inf)  # over upper
+        if lattice.goal >= 0:
+            self._known[lattice.goal] = 0.0
         self.lower = self.upper = math.inf
 
     def update(self) -> None:
         """Take in what the bounds learned since the last call."""
         changed, fell = self._edges.update()
-        if not changed:
+        if not changed and self._answers == self._standing.asked:
             return
         lattice = self._lattice
+        self._take_in_what_falls()
         if fell:
             self.rows = self._all_rows
         cost_to_go(lattice.first_edge, lattice.child, self._edges.lower, self.rows, self._to_go)
-        cost_to_go(lattice.first_edge, lattice.child, self._edges.upper, self.rows, self._known)
+        known = self.rows if self._standing.always else self.rows[self._standing.stands[self.rows]]
+        cost_to_go(lattice.first_edge, lattice.child, self._edges.upper, known, self._known)
         self.lower, self.upper = float(self._to_go[0]), float(self._known[0])
         through = self._from_root(self.rows)[self.rows] + self._to_go[self.rows]
         self.rows = self.rows[through < self.upper - TOLERANCE]
+
+    def _take_in_what_falls(self) -> None:
+        if self._answers != self._standing.asked:
+            self._answers = self._standing.asked
+            fallen = self._standing.fallen
+            self._to_go[fallen] = self._known[fallen] = math.inf
+            self._all_rows = self._all_rows[~fallen[self._all_rows]]
+            self.rows = self.rows[~fallen[self.rows]]
+
+    def find_standing(self, below: float) -> None:
+        """Ask for the states of the most promising sequence until all of one stand, or none is shorter than `below`, m.
+
+        Where something falls, the walk turns aside and goes on, so that one sweep over all states serves many answers.
+
+        Raises:
+            BudgetSpentError: the time is over.
+        """
+        self.update()
+        while not self._standing.always and self._walk(below):
+            self.update()
+
+    def _walk(self, below: float) -> bool:
+        """Whether anything on the way fell."""
+        lattice, standing, cost, to_go = self._lattice, self._standing, self._edges.lower, self._to_go
+        row, length, fell = 0, 0.0, False
+        while row != lattice.goal:
+            promise = [(float(cost[e] + to_go[lattice.child[e]]), e) for e in lattice.edges(row)]
+            through, edge = min(promise, default=(math.inf, -1))
+            if not length + through < below:
+                return fell
+            child = int(lattice.child[edge])
+            if standing.ask(child):
+                row, length = child, length + float(cost[edge])
+            else:
+                to_go[child], fell = math.inf, True
+        return fell
 
     def most_promising(self) -> list[Step]:
         """The shortest sequence over `lower`; finite `lower` only."""
@@ -157,14 +203,20 @@ class SequenceBounds:
         """No sequence from the edge's state to the goal that begins with this edge is shorter, m."""
         return float(self._edges.lower[edge] + self._to_go[self._lattice.child[edge]])
 
-    def dead_ends(self, limit: int) -> list[int]:
+    def dead_ends(self, limit: int | None, only_standing: bool = True) -> list[int]:
         """Rows of states that are not known to be out of reach, with all their edges known to be blocked.
 
-        Those with fewest parts first, at most `limit`.
+        Args:
+            limit: at most so many; those with fewest parts come first.
+            only_standing: leave out those that were not asked for whether they stand, unless there are no others.
         """
-        open_before = np.concatenate([[0], np.cumsum(np.isfinite(self._edges.lower))])  # edges, of those before each
+        fallen = self._standing.fallen
+        is_open = np.isfinite(self._edges.lower) & ~fallen[self._lattice.child]
+        open_before = np.concatenate([[0], np.cumsum(is_open)])  # edges, of those before each
         open_edges = np.diff(open_before[self._lattice.first_edge])
-        dead = np.isfinite(self._from_root(self._all_rows)) & (open_edges == 0)
+        dead = np.isfinite(self._from_root(self._all_rows)) & (open_edges == 0) & ~fallen
+        if only_standing and (dead & self._standing.stands).any():
+            dead &= self._standing.stands
         if self._lattice.goal >= 0:
             dead[self._lattice.goal] = False
         found: list[int] = np.flatnonzero(dead)[::-1][:limit].tolist()
@@ -179,9 +231,14 @@ class SequenceBounds:
         """
         lattice = self._lattice
         through = []
-        for cost in (self._edges.lower, self._edges.upper):
-            to_go = np.zeros(len(lattice.states))
-            cost_to_go(lattice.first_edge, lattice.child, cost, self._all_rows, to_go)
+        stands = self._standing.stands
+        for cost, rows in (
+            (self._edges.lower, self._all_rows),
+            (self._edges.upper, self._all_rows[stands[self._all_rows]]),
+        ):
+            to_go = np.full(len(lattice.states), math.inf)
+            to_go[lattice.goal] = 0.0 if lattice.goal >= 0 else math.inf
+            cost_to_go(lattice.first_edge, lattice.child, cost, rows, to_go)
             through.append((cost + to_go[lattice.child], to_go))
         (least, least_to_go), (most, most_to_go) = through
         for row in np.nonzero(np.isfinite(most_to_go) & (most_to_go <= least_to_go + TOLERANCE))[0]:

@@ -29,7 +29,7 @@ def lazy_beam(orders: Orders, width: int) -> None:
         BudgetSpentError: the budget is spent.
     """
     while True:
-        length, edges = _best_sequence(orders, width, orders.bounds.lower)
+        length, edges = _standing_sequence(orders, width, orders.lower)
         open_edges = [edge for edge in edges if not orders.bounds.is_closed(*edge)]
         if length < orders.session.best[0] - TOLERANCE and not open_edges:
             orders.offer([part for _, part in edges])
@@ -39,9 +39,21 @@ def lazy_beam(orders: Orders, width: int) -> None:
         orders.edge_queries.ask(orders.telling(open_edges, count))
         if all(math.isfinite(orders.bounds.upper(*edge)) for edge in edges):
             orders.offer([part for _, part in edges])
-        length, edges = _best_sequence(orders, width, orders.bounds.upper)
+        length, edges = _standing_sequence(orders, width, orders.upper)
         if length < orders.session.best[0] - TOLERANCE:
             orders.offer([part for _, part in edges])
+
+
+def _standing_sequence(orders: Orders, width: int, cost: Callable[[int, int], float]) -> tuple[float, list[Edge]]:
+    """The best sequence whose states all stand: the beam is repeated until it is one.
+
+    Raises:
+        BudgetSpentError: the seconds are over.
+    """
+    while True:
+        length, edges = _best_sequence(orders, width, cost)
+        if orders.stand(edges):
+            return length, edges
 
 
 def _best_sequence(orders: Orders, width: int, cost: Callable[[int, int], float]) -> tuple[float, list[Edge]]:

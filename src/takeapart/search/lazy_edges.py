@@ -56,7 +56,11 @@ class LazyEdges:
             ]
         )
 
-    def descend(self, promise: Callable[[int], Mapping[int, float]]) -> tuple[list[int], int]:
+    def descend(
+        self,
+        promise: Callable[[int], Mapping[int, float]],
+        stands: Callable[[int], bool] | None = None,
+    ) -> tuple[list[int], int]:
         """Follow the most promising part from state to state, asking on the way, until none is left or none can leave.
 
         Parts that were refused come last while what stood in their way is still there, then the guide decides, then the
@@ -64,16 +68,20 @@ class LazyEdges:
 
         Args:
             promise: state -> parts that may leave, the least promise first.
+            stands: asks whether a state may be entered; by default as the session does.
 
         Returns:
             the parts in their order, and the state in which the descent ended.
         """
+        stands = stands or self.session.stands
         state, order = self.session.problem.root, list[int]()
         blamed: dict[int, int] = {}  # per part that was refused: what stood in its way
         while state:
             promised, doubt = promise(state), self.doubt(state)
             still = {part: not mask & ~state for part, mask in blamed.items()}
             for part in sorted(promised, key=lambda p: (still.get(p, False), doubt.get(p, 0.0), promised[p])):
+                if not stands(state & ~(1 << part)):
+                    continue
                 if not self.bounds.is_closed(state, part):
                     self.edge_queries.ask([(state, part)])
                 if math.isfinite(self.bounds.upper(state, part)):
@@ -89,7 +97,9 @@ class LazyEdges:
     def doubtful_refusals(self, dead_ends: Iterable[int]) -> list[Edge]:
         """Edges out of the first of these dead ends that has any that were refused, but not looked at twice."""
         for state in dead_ends if self._second_look else ():
-            every = [(state, part) for part in self.session.problem.candidates(state)]
+            is_fallen = self.session.standing.is_fallen
+            parts = self.session.problem.candidates(state)
+            every = [(state, part) for part in parts if not is_fallen(state & ~(1 << part))]
             found = [edge for edge in every if edge not in self._looked_twice]
             if found:
                 self._looked_twice.update(found)

@@ -11,7 +11,8 @@ from takeapart.states import members
 
 
 class DeadEndError(Exception):
-    """A dead end that proves, conditions being monotone, that there is no order; no search lets it out."""
+    """A dead end that proves, conditions being monotone, that there is no order; no search lets it out. One from which
+    parts could leave if others did not fall proves nothing."""
 
 
 class Orders:
@@ -27,19 +28,42 @@ class Orders:
         self.freedom = self.session.problem.freedom
         self.smallest = smallest_states(self.session.problem.root, self.freedom)
 
+    def lower(self, state: int, part: int) -> float:
+        """Bound on the cost of an edge, m; infinite where it is blocked or leads where something falls, as is known."""
+        return math.inf if self._leads_to_a_fall(state, part) else self.bounds.lower(state, part)
+
+    def upper(self, state: int, part: int) -> float:
+        """Cost of an edge by what is known, m; it may lead to a state that was not asked for."""
+        return math.inf if self._leads_to_a_fall(state, part) else self.bounds.upper(state, part)
+
+    def is_settled(self, state: int, part: int) -> bool:
+        """Whether nothing is left to ask of an edge: neither the planner, nor whether the state behind it stands."""
+        return self.bounds.is_closed(state, part) and self.session.standing.known(state & ~(1 << part)) is not None
+
+    def _leads_to_a_fall(self, state: int, part: int) -> bool:
+        return self.session.standing.is_fallen(state & ~(1 << part))
+
+    def stand(self, edges: Sequence[Edge]) -> bool:
+        """Whether all states behind these edges stand; asks for all of them.
+
+        Raises:
+            BudgetSpentError: the time is over.
+        """
+        return sum(not self.session.stands(state & ~(1 << part)) for state, part in edges) == 0
+
     def least_costs(self) -> dict[int, float]:
         """Per part what it costs at least wherever it leaves, m."""
         return {part: self.bounds.lower(state, part) for part, state in self.smallest.items()}
 
     def offer(self, order: Sequence[int]) -> None:
-        """Take note of an order with the best removals known by now."""
+        """Take note of an order with the best removals known by now, if it is one."""
         state, removals = self.session.problem.root, []
         for part in order:
             removal = self.bounds.best(state, part)
-            if removal is None:
+            state &= ~(1 << part)
+            if removal is None or not self.session.stands(state):
                 return
             removals.append(removal)
-            state &= ~(1 << part)
         self.session.offer(removals, found_episode=self.session.clock.episodes)
 
     def dead_end(self, state: int) -> None:
@@ -48,13 +72,13 @@ class Orders:
 
     def meet_dead_end(self, state: int) -> None:
         """Take note of a dead end; raises DeadEndError where it proves that there is no order."""
-        if self.freedom is not None:
+        if self.freedom is not None and self.session.is_proof(state):
             self.dead_end(state)
             raise DeadEndError
 
     def is_dead_end(self, state: int) -> bool:
-        """Whether every part is known to be blocked."""
-        return all(math.isinf(self.bounds.lower(state, part)) for part in self.session.problem.candidates(state))
+        """Whether every part is known to be blocked, or to be what others would fall without."""
+        return all(math.isinf(self.lower(state, part)) for part in self.session.problem.candidates(state))
 
     def telling(self, edges: Sequence[Edge], count: int) -> list[Edge]:
         """Of the edges of a sequence those that say most, see `takeapart.search.lazy_edges.telling`."""

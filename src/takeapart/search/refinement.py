@@ -24,6 +24,7 @@ from takeapart.removal.bounds import ClosedEdge, EdgeBounds
 from takeapart.search.edge_queries import Edge
 from takeapart.search.lattice import Lattice, Values
 from takeapart.search.lattice_bounds import TOLERANCE, LatticeBounds, SequenceBounds
+from takeapart.search.lattice_standing import LatticeStanding
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Refinement:
 
     Args:
         known: the bounds of the search, up to date whenever this is asked.
+        standing: what is known of the states.
         attempts: of the first query of every edge.
         look_at_clock: raises where the time is over; with millions of edges even a pass that asks nothing takes
             seconds.
@@ -90,11 +92,12 @@ class Refinement:
         lattice: Lattice,
         bounds: EdgeBounds,
         known: LatticeBounds,
+        standing: LatticeStanding,
         attempts: int,
         options: RefinementOptions,
         look_at_clock: Callable[[], None] = lambda: None,
     ) -> None:
-        self._lattice, self._bounds, self._known = lattice, bounds, known
+        self._lattice, self._bounds, self._known, self._standing = lattice, bounds, known, standing
         self._attempts, self._options, self._look_at_clock = attempts, options, look_at_clock
         self._tries: dict[Edge, int] = {}  # of edges that this planned; all other closed ones had one
         self._planned: set[Edge] = set()  # in this pass
@@ -121,8 +124,9 @@ class Refinement:
         self._asked = []
         while not self._asked and (self._sequences is not None or self._begin(length, queries)):
             assert self._sequences is not None
-            self._sequences.update()
-            if self._sequences.lower < (1.0 - self._options.worth) * length - TOLERANCE:
+            worthwhile = (1.0 - self._options.worth) * length - TOLERANCE
+            self._sequences.find_standing(worthwhile)
+            if self._sequences.lower < worthwhile:
                 self._asked = self._most_hopeful(self._sequences, count)
             if not self._asked:
                 self._sequences = None
@@ -147,7 +151,7 @@ class Refinement:
         self._planned.clear()
         self._settled = LatticeBounds(self._lattice, self._bounds, self._is_settled)
         hopes = Hopes(self._known, self._settled, self._options.optimism, self._look_at_clock)
-        self._sequences = SequenceBounds(self._lattice, hopes)
+        self._sequences = SequenceBounds(self._lattice, hopes, self._standing)
         return True
 
     def _is_settled(self, part: int, closed: ClosedEdge) -> bool:

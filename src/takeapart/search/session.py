@@ -92,6 +92,8 @@ class Session:
         self.dead_ends: dict[int, tuple[Blocked, ...]] = {}
         self.statistics: dict[str, float] = {}
         self.infeasible = False
+        self.standing = problem.standing
+        self._first_question = problem.standing.questions
 
     def run(self, search: Callable[[], None]) -> bool:
         """Run a search to its end, the end of its budget, or Ctrl-C; whether it was that."""
@@ -104,13 +106,15 @@ class Session:
         return False
 
     def ask(self, state: int, part: int, effort: Effort) -> Removal | Blocked:
-        """The removal query.
+        """The removal query, for a state behind it that stands; where it does not, the refusal names what would fall.
 
         Raises:
             BudgetSpentError: nothing was asked because the budget is spent, or the time was over before the answer.
         """
         if self.clock.spent():
             raise BudgetSpentError
+        if not self.stands(state & ~(1 << part)):
+            return self.unsupported(state, part)
         try:
             answer = self.problem.remove(state, part, replace(effort, is_late=self.clock.late))
         except OutOfTimeError:
@@ -119,6 +123,26 @@ class Session:
             following = state & ~(1 << part)
             self.observe(state, part, -answer.length, following, self.problem.candidates(following))
         return answer
+
+    def stands(self, state: int) -> bool:
+        """Whether a state may be entered; a question of statics where it was not asked before.
+
+        Raises:
+            BudgetSpentError: the time is over.
+        """
+        if self.standing.known(state) is None:
+            self.look_at_clock()
+        return not self.standing.fallen(state)
+
+    def unsupported(self, state: int, part: int) -> Blocked:
+        """The refusal of a part whose leaving lets others fall, as is known."""
+        return Blocked(part, "stability", self.standing.fallen(state & ~(1 << part)))
+
+    def is_proof(self, state: int) -> bool:
+        """Whether a dead end would be one if every state stood. Then, conditions being monotone otherwise, no order
+        leads on from any state that holds its parts.
+        """
+        return not any(self.standing.is_fallen(state & ~(1 << part)) for part in self.problem.candidates(state))
 
     def look_at_clock(self) -> None:
         """Raises BudgetSpentError if the time is over; for work that asks nothing."""
@@ -162,5 +186,7 @@ class Session:
             deepest_first = sorted(self.dead_ends.items(), key=lambda item: (item[0].bit_count(), item[0]))
             refusals = tuple(deepest_first[:MAXIMUM_REFUSALS])
         self.statistics["episodes"] = self.clock.episodes
+        if not self.standing.always:
+            self.statistics["stability_questions"] = self.standing.questions - self._first_question
         statistics = dict(self.statistics)
         return SearchResult(removals, length, sequence_bound, refusals, statistics, self.infeasible, interrupted)

@@ -3,7 +3,8 @@
 All of them share the removal library of the problem, so that they are compared with MCTS and exact search by what they
 choose to ask. Where every condition is monotone (fewer parts never hinder: gravity by connectors, lifting, collision),
 a feasible problem has no dead ends: a feasible order without the parts that are gone goes on from every state. The
-first dead end then proves that no order exists, which `monotone` makes use of.
+first dead end then proves that no order exists, which `monotone` makes use of. A dead end from which parts could leave
+if others did not fall proves nothing.
 """
 
 from __future__ import annotations
@@ -173,7 +174,7 @@ def _depth_first(session: Session, successors: Successors, monotone: bool) -> No
                 stack.append((following, successors(following)))
                 break
         else:
-            if monotone and session.dead_ends:
+            if monotone and state in session.dead_ends and session.is_proof(state):
                 stack.clear()
             else:
                 stack.pop()

@@ -96,10 +96,10 @@ class WeightedAStar:
         values = orders.guide([state])[0] if orders.guide is not None and guided else {}
         dead_end = True
         for part in orders.session.problem.candidates(state):
-            lower = orders.bounds.lower(state, part)
+            lower = orders.lower(state, part)
             if math.isfinite(lower):
                 dead_end = False
-                settled = not self.lazy or lower >= orders.bounds.upper(state, part)
+                settled = not self.lazy or orders.is_settled(state, part)
                 h = entry.h - self.least_costs[part]
                 estimate = self.weight * h
                 if part in values:
@@ -119,27 +119,32 @@ class WeightedAStar:
         heappush(self.waiting, _Waiting(g + estimate, left, self.number, state, g, h, estimate, before, part, settled))
 
     def evaluate(self, entry: _Waiting) -> None:
-        """Replace the bound of an edge by a better one or by its cost; plan it where there is none."""
+        """Replace the bound of an edge by a better one or by its cost; plan it where there is none. What leads to a
+        state in which something falls is left out.
+        """
         orders, bounds = self.orders, self.orders.bounds
-        if not bounds.is_closed(entry.before, entry.part) and self.edge_cost(entry) <= self.assumed_cost(entry):
+        stands = orders.session.stands(entry.state)
+        is_open = stands and not bounds.is_closed(entry.before, entry.part)
+        if is_open and self.edge_cost(entry) <= self.assumed_cost(entry):
             while self.waiting and len(self.in_hand) < orders.batch:
                 following = self.waiting[0]
                 asked = [each.part for each in self.in_hand]
                 if following.settled or following.part in asked or bounds.is_closed(following.before, following.part):
                     break
                 self.in_hand.append(heappop(self.waiting))
-            orders.edge_queries.ask([(each.before, each.part) for each in self.in_hand])
+            standing = [each for each in self.in_hand if orders.session.stands(each.state)]
+            orders.edge_queries.ask([(each.before, each.part) for each in standing])
         for each in self.in_hand:
             cost = self.edge_cost(each)
             if math.isfinite(cost):
-                settled = bounds.is_closed(each.before, each.part)
+                settled = orders.is_settled(each.before, each.part)
                 g = self.g[each.before] + cost
                 self.push(each.state, g, each.h, each.estimate, each.before, each.part, settled)
             elif orders.is_dead_end(each.before):
                 orders.meet_dead_end(each.before)
 
     def edge_cost(self, entry: _Waiting) -> float:
-        return self.orders.bounds.lower(entry.before, entry.part)
+        return self.orders.lower(entry.before, entry.part)
 
     def assumed_cost(self, entry: _Waiting) -> float:
         return entry.g - self.g[entry.before] + TOLERANCE
