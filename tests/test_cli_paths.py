@@ -60,15 +60,12 @@ HOSTILE = {
     "through a file": "a.json/file",
     "closed": "closed/file",  # last: the others have imported what the command needs, perhaps from a closed folder
 }
-SOLID = "solid bar\n" + "".join(
-    f"facet normal 0 0 0\nouter loop\n{''.join(f'vertex {x} {y} {z}' + chr(10) for x, y, z in corners)}endloop\nendfacet\n"
-    for corners in (
-        ((0, 0, 0), (0, 0.1, 0), (0.1, 0, 0)),
-        ((0, 0, 0), (0.1, 0, 0), (0, 0, 0.1)),
-        ((0, 0, 0), (0, 0, 0.1), (0, 0.1, 0)),
-        ((0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)),
-    )
-) + "endsolid bar\n"  # fmt: skip
+FACETS = ("0 0 0 0 .1 0 .1 0 0", "0 0 0 .1 0 0 0 0 .1", "0 0 0 0 0 .1 0 .1 0", ".1 0 0 0 .1 0 0 0 .1")
+SOLID = "solid bar\n"
+for corners in map(str.split, FACETS):
+    vertices = "".join(f"vertex {' '.join(corners[k : k + 3])}\n" for k in (0, 3, 6))
+    SOLID += f"facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n"
+SOLID += "endsolid bar\n"
 
 
 def path_options(name: str) -> list[str]:
