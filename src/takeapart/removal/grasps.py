@@ -161,14 +161,14 @@ def volume_bound(part: Part, lift_height: float, goal: Array) -> float:
     """Least length of a removal with a grasp anywhere in the part's volume, m: straight up, then straight to the goal
     (Eq. 1). Attained where nothing is in the way.
 
-    A mesh is gripped between its surfaces, and over its edges: there the volume is that of its bounding box, larger by
-    `MOST_OVERHANG` on all sides.
+    What is no box is gripped between its surfaces, and over its edges: there the volume is that of its bounding box,
+    larger by `MOST_OVERHANG` on all sides.
 
     Args:
         goal: (3,) m, in the world.
     """
     boxes = part.boxes_in_world()
-    if isinstance(part.shape, Mesh):
+    if not is_box(part.shape):
         around = part.shape.bounding_box()
         grown = OrientedBox(around.T_frame_box, around.half_extents + MOST_OVERHANG)
         boxes = [grown.moved(part.T_world_part)]
