@@ -70,7 +70,8 @@ class StabilityComparison:
 
 
 def gravity_model(assembly: Assembly, state: int) -> mujoco.MjModel:
-    """The parts of a state as free bodies with the connectors they host; fixed parts belong to the world."""
+    """The parts of a state as free bodies with the connectors they host; fixed parts belong to the world, and so does
+    the ground under a product that does not stand in connectors."""
     specification = mujoco.MjSpec()
     option = specification.option
     option.timestep = TIMESTEP
@@ -93,6 +94,13 @@ def gravity_model(assembly: Assembly, state: int) -> mujoco.MjModel:
             geom.friction = [friction, 0.005, 0.0001]
         if not any(assembly.parts[i].fixed for i in group):
             body.add_freejoint()
+    if not assembly.is_lifted:  # it stands on level ground at its lowest point
+        lowest = min(part.shape.surface().moved(part.T_world_part).bounds[0, 2] for part in assembly.parts)
+        ground = specification.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1], pos=[0.0, 0.0, float(lowest)]
+        )
+        ground.contype, ground.conaffinity = CONTACT_BITS
+        ground.friction = [friction, 0.005, 0.0001]
     return specification.compile()
 
 
