@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from takeapart.model.errors import MissingExtraError
 from takeapart.model.geometry import OrientedBox, quaternion_from_rotation
-from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, box_mesh, coarser
+from takeapart.model.meshes import Mesh as PartMesh
+from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, box_mesh, coarser, surface_mesh
 from takeapart.show.scene import GOAL, STEEL, Color, PlanScene, darker, rgb
 from takeapart.show.view import View
 
@@ -102,7 +103,10 @@ def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
     for i, part in enumerate(scene.assembly.parts):
         body = world.add_body(name=f"part/{part.name}", mocap=True)
         boxes, own, color = scene.assembly.body(i), len(part.shape.boxes()), rgb(scene.colors[i])
-        _add_boxes(spec, body, f"shape/{i}", boxes[:own], color)
+        if isinstance(part.shape, PartMesh):
+            _add_mesh(spec, body, f"shape/{i}", *surface_mesh(part.shape.surface()), color)
+        else:
+            _add_boxes(spec, body, f"shape/{i}", boxes[:own], color)
         if boxes[own:]:
             _add_boxes(spec, body, f"connectors/{i}", boxes[own:], darker(color))
     if options.robot:

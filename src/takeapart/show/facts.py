@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from takeapart.collision.contact import Contacts
 from takeapart.model.assembly import Assembly
+from takeapart.model.geometry import OrientedBox
+from takeapart.removal.exits import Exits
 from takeapart.removal.grasps import volume_bound
 from takeapart.removal.journal import RecordedAnswer, RemovalQuery
 from takeapart.removal.lifting import lift_blockers
 from takeapart.removal.margins import padding, passing
 from takeapart.removal.result import Blocked, Removal
 from takeapart.show.scene import PlanScene, role_of
-from takeapart.stability import ConnectorStability
+from takeapart.stability import ConnectorStability, stability_of
 from takeapart.states import members
 
 SHOWN_ALTERNATIVES = 6
@@ -54,6 +57,7 @@ class PartFacts:
         freed_by: name of the part whose leaving made that possible; empty where it is possible from the start.
         alternatives: shortest first.
         refusals: how often the planner refused it, by stage.
+        is_lifted: whether straight up is its only way out; else more than what is told here may keep it.
     """
 
     name: str
@@ -71,13 +75,16 @@ class PartFacts:
     freed_by: str = ""
     alternatives: tuple[Alternative, ...] = ()
     refusals: dict[str, int] = field(default_factory=dict)
+    is_lifted: bool = True
 
 
 def hindrances(scene: PlanScene) -> list[tuple[int, int]]:
     """Per part the states of the parts that gravity, and lifting, want gone before it; root where it never lifts."""
     assembly, cell = scene.assembly, scene.workcell
-    stability = ConnectorStability(assembly)
     obstacles = tuple(obstacle.box for obstacle in cell.environment)
+    if not assembly.is_lifted:
+        return _hindrances_of_exits(assembly, obstacles, passing(cell.clearance))
+    stability = ConnectorStability(assembly)
     lifting = lift_blockers(assembly, cell.lift_height, padding(cell.clearance), obstacles, passing(cell.clearance))
     return [
         (0, 0)
@@ -85,6 +92,22 @@ def hindrances(scene: PlanScene) -> list[tuple[int, int]]:
         else (stability.dependents(i, assembly.root), assembly.root if lifting[i] is None else lifting[i] or 0)
         for i, part in enumerate(assembly.parts)
     ]
+
+
+def _hindrances_of_exits(
+    assembly: Assembly, obstacles: tuple[OrientedBox, ...], clearance: float
+) -> list[tuple[int, int]]:
+    """The same where parts leave in any direction: who has nothing else to rest on, and what every way out meets. More
+    may keep a part; that is asked state by state."""
+    stability, rule = stability_of(assembly), Exits(assembly, Contacts(assembly), obstacles, clearance)
+    found = []
+    for i, part in enumerate(assembly.parts):
+        masks = [way.blockers for way in rule.exits(i) if way.blockers is not None]
+        met = assembly.root
+        for mask in masks:
+            met &= mask
+        found.append((0, 0) if part.fixed else (stability.dependents(i, assembly.root), met))
+    return found
 
 
 def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]:
@@ -115,7 +138,7 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
                 part.mass,
                 step,
                 scene.steps[step - 1].length if step else 0.0,
-                volume_bound(part, scene.workcell.lift_height, scene.workcell.goal),
+                volume_bound(part, scene.workcell.lift_height if assembly.is_lifted else 0.0, scene.workcell.goal),
                 scene.grasp_text(step - 1) if step else "",
                 tuple(assembly.names(carried)),
                 tuple(assembly.names(lifted & ~(1 << i))) if lifted != assembly.root else (),
@@ -124,6 +147,7 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
                 freed_by,
                 _alternatives(scene, i, [answer for answer in own if isinstance(answer, Removal)]),
                 {stage: stages.count(stage) for stage in dict.fromkeys(stages)},
+                assembly.is_lifted,
             )
         )
     return tuple(facts)
@@ -161,9 +185,15 @@ def why_not_earlier(facts: PartFacts) -> str:
     if facts.role == "fixed":
         return "Fixed: it never leaves, and nothing may hit it."
     if not facts.lifts:
-        return "It can never be lifted: something that never leaves is in the way."
+        way = "be lifted" if facts.is_lifted else "get out"
+        return f"It can never {way}: something that never leaves is in the way."
     if not facts.step and facts.earliest:
         return "The plan does not remove it."
+    if not facts.is_lifted:
+        reasons = [f"{_listed(facts.carries)} would fall without it"] if facts.carries else []
+        reasons += [f"every way out meets {_listed(facts.under)}"] if facts.under else []
+        start = f"At the start {', and '.join(reasons)}. " if reasons else ""
+        return f"{start}The order of the plan has it in step {facts.step}." if facts.step else start.strip()
     if not facts.carries and not facts.under:
         start = "Gravity and lifting let it go from the start"
     else:
@@ -196,9 +226,11 @@ def freedom(facts: PartFacts) -> str:
     if facts.under and set(facts.under) == set(facts.carries):
         reasons = [f"carries and is below {_listed(facts.carries)}"]
     elif facts.under:
-        reasons.append(f"below {_listed(facts.under)}")
+        reasons.append(f"{'below' if facts.is_lifted else 'behind'} {_listed(facts.under)}")
     if not facts.lifts:
         return "; ".join([*reasons, "can never be lifted"])
+    if not facts.is_lifted:
+        return "; ".join(reasons)
     if not facts.earliest:
         return "; ".join([*reasons, "not free when it leaves"])
     return "; ".join([*reasons, f"free from step {facts.earliest}" if facts.earliest > 1 else "free from the start"])

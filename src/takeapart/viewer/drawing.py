@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from takeapart.model.geometry import Array, quaternion_from_rotation
-from takeapart.show.robot import BROWSER_CELL, box_mesh, coarser
+from takeapart.model.meshes import Mesh as PartMesh
+from takeapart.show.robot import BROWSER_CELL, box_mesh, coarser, surface_mesh
 from takeapart.show.scene import GOAL, STEEL, Color, PlanScene, darker, rgb
 from takeapart.show.view import view_of
 
@@ -61,7 +62,8 @@ def draw_scene(server: Any, scene: PlanScene, on_click: Callable[[int], Callable
         bodies = []
         for name, boxes, shade in (("shape", body[:own], color), ("connectors", body[own:], darker(color))):
             if boxes:
-                vertices, faces = box_mesh(boxes)
+                is_mesh = name == "shape" and isinstance(part.shape, PartMesh)
+                vertices, faces = surface_mesh(part.shape.surface()) if is_mesh else box_mesh(boxes)
                 mesh = api.add_mesh_simple(
                     f"/parts/{i}/{name}", vertices, faces, color=as_bytes(shade), flat_shading=True
                 )
