@@ -209,8 +209,11 @@ class ContactStability:
 
 def on_ground(assembly: Assembly) -> Assembly:
     """The product with the ground under its lowest point, as one more part that never leaves, after all others."""
-    bounds = np.array([part.shape.surface().moved(part.T_world_part).bounds for part in assembly.parts])
-    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    points = [part.shape.surface().moved(part.T_world_part).bounds for part in assembly.parts]
+    for connector in assembly.connectors:
+        T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part
+        points += [wall.moved(T_world_host).corners() for wall in connector.walls]
+    low, high = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
     size = high - low + 2 * GROUND_MARGIN
     T = pose([*((low + high) / 2)[:2], low[2] - GROUND_DEPTH / 2])
     name = next(name for k in range(len(assembly.parts) + 1) if (name := f"ground{k or ''}") not in assembly.index)

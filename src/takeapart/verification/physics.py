@@ -95,9 +95,12 @@ def gravity_model(assembly: Assembly, state: int) -> mujoco.MjModel:
         if not any(assembly.parts[i].fixed for i in group):
             body.add_freejoint()
     if not assembly.is_lifted:  # it stands on level ground at its lowest point
-        lowest = min(part.shape.surface().moved(part.T_world_part).bounds[0, 2] for part in assembly.parts)
+        heights = [part.shape.surface().moved(part.T_world_part).bounds[0, 2] for part in assembly.parts]
+        for connector in assembly.connectors:
+            T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part
+            heights += [wall.moved(T_world_host).corners()[:, 2].min() for wall in connector.walls]
         ground = specification.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1], pos=[0.0, 0.0, float(lowest)]
+            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 0.1], pos=[0.0, 0.0, float(min(heights))]
         )
         ground.contype, ground.conaffinity = CONTACT_BITS
         ground.friction = [friction, 0.005, 0.0001]
