@@ -26,6 +26,7 @@ SMALL: dict[str, tuple[str, str]] = {
     "brick_verdicts": ("--models external_weight_good", "benchmarks.md --document"),
     "clearance_cost": ("--assemblies single/01 --processes 1", "verification.md --document"),
     "closing": ("--count 1", "benchmarks.md --document"),
+    "contact_fields": ("", ""),
     "growth": ("--seconds 2 --parts 21 --out {folder}/growth", "benchmarks.md --document"),
     "guide_speed": ("--episodes 1 --repeats 3", "guide.md --document"),
     "path_quality": ("--assemblies single/01 --each 1 --seconds 1 --processes 1", "benchmarks.md --document"),

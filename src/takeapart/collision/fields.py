@@ -13,15 +13,29 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from takeapart.collision.kept import keep_arrays, kept_arrays
 from takeapart.collision.triangles import DEEPEST, TriangleTree, nearest2, triangle_tree
 from takeapart.compilation import compiled, compiled_lean
 from takeapart.model.geometry import Array, Box, Shape, TriangleMesh
+from takeapart.model.meshes import Mesh
 
 FINEST, COARSEST, CELLS = 2.5e-4, 1e-3, 200  # m, m, and along the longest edge
+MOST_NODES = 30_000_000  # of a field, about; larger bodies have a coarser one
+WIDEST = 0.032  # m, of a band: what fits into the numbers
 UNIT = 1e-6  # m, of the numbers in the grid
-FIELD_ERROR = 0.3  # cells: an interpolated distance is no further from the true one, but for corners
-CORNER_ERROR = 0.5  # cells: at corners, and in gaps and walls thinner than a cell
+FIELD_ERROR = 0.3  # cells; no interpolated distance is further from the true one
 BAND_CELLS = 6  # to either side of the surface
+
+FORMAT = 2  # of what is kept
+DIMENSIONS = {
+    "half": 1,
+    "middle": 1,
+    "axes": 2,
+    "origin": 1,
+    "step": 0,
+    "band": 0,
+    "values": 3,
+}  # of the arrays of a field
 
 Grid = NDArray[np.int16]
 Crossings = NDArray[np.int8]
@@ -45,7 +59,21 @@ def field_of(shape: Shape) -> Field:
         box = shape.bounding_box()
         nothing = np.zeros((1, 1, 1), np.int16)
         return Field(box.half_extents, np.zeros(3), np.eye(3), np.zeros(3), 0.0, math.inf, nothing)
-    return mesh_field(shape.surface())
+    return kept_field(shape) if isinstance(shape, Mesh) else mesh_field(shape.surface())
+
+
+def kept_field(shape: Mesh) -> Field:
+    """The field of a mesh: built once, then read from the cache folder, where its content names it."""
+    name = f"field-{FORMAT}-{shape.hash[:32]}"
+    found = kept_arrays(name, DIMENSIONS)
+    if found is not None:
+        return Field(
+            found["half"], found["middle"], found["axes"], found["origin"], float(found["step"]), float(found["band"]),
+            found["values"],
+        )  # fmt: skip
+    field = mesh_field(shape.surface())
+    keep_arrays(name, {key: np.asarray(getattr(field, key)) for key in Field._fields})
+    return field
 
 
 def box_field(T_world_box: Array, half: Array) -> Field:
@@ -59,7 +87,8 @@ def mesh_field(mesh: TriangleMesh) -> Field:
     """The field of a mesh in its own frame."""
     low, high = mesh.bounds
     step = float(np.clip((high - low).max() / CELLS, FINEST, COARSEST))
-    band = BAND_CELLS * step
+    step = max(step, float(np.prod(high - low + 2 * BAND_CELLS * step) / MOST_NODES) ** (1 / 3))
+    band = min(BAND_CELLS * step, WIDEST)
     origin = low - band - step
     shape = np.ceil((high - low + 2 * (band + step)) / step).astype(int) + 1
     values = np.empty(tuple(shape), np.int16)

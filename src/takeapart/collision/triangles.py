@@ -15,6 +15,7 @@ from takeapart.compilation import compiled, compiled_lean
 from takeapart.model.geometry import Array, TriangleMesh
 
 IN_LEAF = 4
+FLAT = 1e-10  # squared sine of the angle of a triangle that counts as a line
 DEEPEST = 64  # nodes that wait at once; far more than the levels of any tree
 
 Integers = NDArray[np.int32]
@@ -63,14 +64,28 @@ def curve_order(points: Array) -> NDArray[np.int64]:
 
 
 @compiled_lean
+def _segment_distance2(x: float, y: float, z: float, ux: float, uy: float, uz: float) -> float:
+    """Squared distance of a point from the segment between the origin and another point."""
+    uu = ux * ux + uy * uy + uz * uz
+    s = min(1.0, max(0.0, (x * ux + y * uy + z * uz) / uu)) if uu > 0.0 else 0.0
+    x, y, z = x - s * ux, y - s * uy, z - s * uz
+    return x * x + y * y + z * z
+
+
+@compiled_lean
 def triangle_distance2(x: float, y: float, z: float, corners: Array, t: int) -> float:
-    """Squared distance of a point from a triangle; Ericson: Real-Time Collision Detection, 5.1.5."""
+    """Squared distance of a point from a triangle; Ericson: Real-Time Collision Detection, 5.1.5. Of a triangle that is
+    flat, rounding would choose a point beside it: it is as far as its edges."""
     ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
     ux, uy, uz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
     vx, vy, vz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
     px, py, pz = x - ax, y - ay, z - az
     uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
     up, vp = ux * px + uy * py + uz * pz, vx * px + vy * py + vz * pz
+    if uu * vv - uv * uv <= FLAT * uu * vv:
+        wx, wy, wz = vx - ux, vy - uy, vz - uz
+        edges = min(_segment_distance2(px, py, pz, ux, uy, uz), _segment_distance2(px, py, pz, vx, vy, vz))
+        return min(edges, _segment_distance2(px - ux, py - uy, pz - uz, wx, wy, wz))
     s, r = 0.0, 0.0  # the nearest point is a + s u + r v
     d3, d4, d5, d6 = up - uu, vp - uv, up - uv, vp - vv
     vc, vb, va = up * d4 - d3 * vp, d5 * vp - up * d6, d3 * d6 - d5 * d4
