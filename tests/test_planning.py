@@ -192,7 +192,7 @@ def test_the_best_plan_so_far_survives_an_interrupt() -> None:
 def test_misuse_is_told() -> None:
     with pytest.raises(UnknownNameError, match="unknown search 'best'; valid: beam, best-first, exact"):
         PlanningOptions(search="best")
-    with pytest.raises(InputError, match="part 'stub' floats"):
+    with pytest.raises(InputError, match="part 'stub' drops"):
         plan(floating(), scene_workcell())
 
 
