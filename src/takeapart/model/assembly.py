@@ -147,9 +147,9 @@ class Assembly:
 
     @cached_property
     def is_lifted(self) -> bool:
-        """Whether its parts leave straight upwards by the workcell's lift height and no other way: what stands in
-        connectors does (Sec. IV-B)."""
-        return bool(self.connectors) and not self.has_meshes
+        """Whether its parts leave straight upwards by the workcell's lift height and no other way: those of a product of
+        boxes do (Sec. IV-B)."""
+        return not self.has_meshes
 
     @cached_property
     def root(self) -> int:
