@@ -147,8 +147,8 @@ class Assembly:
 
     @cached_property
     def is_lifted(self) -> bool:
-        """Whether its parts leave straight upwards by the workcell's lift height and no other way: those of a product of
-        boxes do (Sec. IV-B)."""
+        """Whether its parts leave straight upwards by the workcell's lift height and no other way: those of a product
+        of boxes do (Sec. IV-B)."""
         return not self.has_meshes
 
     @cached_property
