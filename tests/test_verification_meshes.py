@@ -102,8 +102,8 @@ def words(report: VerificationReport) -> list[str]:
 def test_boxes_and_their_meshes_have_the_same_verdict() -> None:
     boxes = judged(product(Box(BAR), Box(BLOCK)), physics=True)
     meshes = judged(product(as_mesh(Box(BAR)), as_mesh(Box(BLOCK))), physics=True)
-    assert words(meshes) == []  # boxes need connectors to the judge, and no more is compared of their support
-    assert meshes.states == 2
+    assert words(boxes) == words(meshes) == []
+    assert meshes.states == boxes.states == 2
     assert boxes.configurations == meshes.configurations
     assert boxes.smallest_clearance is not None and meshes.smallest_clearance is not None
     assert meshes.smallest_clearance.distance == pytest.approx(boxes.smallest_clearance.distance, abs=2e-5)

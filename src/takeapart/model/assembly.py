@@ -152,6 +152,12 @@ class Assembly:
         return not self.has_meshes
 
     @cached_property
+    def stands_in_connectors(self) -> bool:
+        """Whether connectors say what carries what; a product without any, or with meshes, stands on level
+        ground at its lowest point."""
+        return bool(self.connectors) and not self.has_meshes
+
+    @cached_property
     def root(self) -> int:
         """State in which all removable parts are present."""
         return sum(1 << i for i, part in enumerate(self.parts) if not part.fixed)

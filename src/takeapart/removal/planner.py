@@ -308,7 +308,7 @@ class RemovalPlanner:
 
 
 def _exit_rule(assembly: Assembly, workcell: Workcell, obstacles: tuple[OrientedBox, ...], padding: float) -> ExitRule:
-    """Lifts for what stands in connectors; else ways out in all directions."""
+    """Lifts for a product of boxes; else ways out in all directions."""
     if assembly.is_lifted:
         return Lifts(assembly, workcell.lift_height, padding, obstacles, passing(workcell.clearance))
     contacts = Contacts(assembly)

@@ -78,7 +78,7 @@ def gravity_model(assembly: Assembly, state: int) -> mujoco.MjModel:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0  # stiff friction: bars at rest must not creep
-    friction = 0.4 if assembly.is_lifted else assembly.friction
+    friction = 0.4 if assembly.stands_in_connectors else assembly.friction
     for group in _fastened(assembly, state):
         first = assembly.parts[group[0]]
         body = specification.worldbody.add_body(name=first.name)
@@ -94,7 +94,7 @@ def gravity_model(assembly: Assembly, state: int) -> mujoco.MjModel:
             geom.friction = [friction, 0.005, 0.0001]
         if not any(assembly.parts[i].fixed for i in group):
             body.add_freejoint()
-    if not assembly.is_lifted:  # it stands on level ground at its lowest point
+    if not assembly.stands_in_connectors:
         heights = [part.shape.surface().moved(part.T_world_part).bounds[0, 2] for part in assembly.parts]
         for connector in assembly.connectors:
             T_world_host = assembly.parts[assembly.index[connector.host]].T_world_part

@@ -30,7 +30,7 @@ class StartContacts:
         scene: Scene,
         options: VerificationOptions,
     ) -> None:
-        self._lifted = assembly.is_lifted
+        self._lifted = assembly.stands_in_connectors
         self._apart = clearance + 2 * options.clearance_tolerance  # m; from here on the clearance counts
         self._required: dict[frozenset[int], float] = {}
         allowed = allowed_overlaps(assembly)

@@ -88,7 +88,9 @@ class Verifier:
         self.hashes = computed if hashes is None else hashes
         self._hash_by_name = workcell_hash_by_name(workcell)
         self.replay = Replay(assembly, workcell, self.options)
-        self.support = Support(assembly) if assembly.is_lifted else None  # elsewhere friction and joints hold too
+        self.support = (
+            Support(assembly) if assembly.stands_in_connectors else None
+        )  # elsewhere friction and joints hold too
         self._steps: dict[bytes, StepResult] = {}
         self._standing: dict[int, StandingReport] = {}
 
