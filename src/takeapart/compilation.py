@@ -47,8 +47,11 @@ def _digest(folders: Sequence[str]) -> str:
 
 
 def _kernel_folder(module: str) -> Path:
-    """Folder for the machine code of a module: geometry calls no kernels of the searches, nor they any of it."""
-    return _group_folder(("search",) if module.startswith("takeapart.search") else ("robot", "motion"))
+    """Folder for the machine code of a module: arm, contact and searches call no kernels of one another."""
+    for package in ("search", "collision"):
+        if module.startswith(f"takeapart.{package}."):
+            return _group_folder((package,))
+    return _group_folder(("robot", "motion"))
 
 
 @cache

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from takeapart.collision.fields import FIELD_ERROR, Field, field_of, signed_distances, surface_points
-from takeapart.collision.triangles import distances, triangle_tree
+from takeapart.collision.triangles import TriangleTree, distances, triangle_tree
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, Shape, TriangleMesh, pose_inverse
@@ -39,6 +39,11 @@ class Body:
     field: Field
     points: Array
     surface: TriangleMesh
+
+    @cached_property
+    def tree(self) -> TriangleTree:
+        """For exact distances from the surface."""
+        return triangle_tree(self.surface)
 
 
 @dataclass(frozen=True)
@@ -79,10 +84,15 @@ class Contacts:
         return self._shapes[key]
 
     @cached_property
+    def bounds(self) -> tuple[Array, ...]:
+        """Per part (2, 3) m: least and greatest coordinates in the world."""
+        parts = self._assembly.parts
+        return tuple(self.body(i).surface.moved(part.T_world_part).bounds for i, part in enumerate(parts))
+
+    @cached_property
     def findings(self) -> tuple[PairFinding, ...]:
         """All pairs that are at most `NEAR` apart."""
-        parts = self._assembly.parts
-        bounds = [self.body(i).surface.moved(part.T_world_part).bounds for i, part in enumerate(parts)]
+        parts, bounds = self._assembly.parts, self.bounds
         found = []
         for a in range(len(parts)):
             for b in range(a + 1, len(parts)):
@@ -151,10 +161,10 @@ class Contacts:
 def _least_distance(body: Body, points: Array) -> float:
     """Least signed distance of points (N, 3) from a body, m: the field tells the side, the triangles how far."""
     signed = signed_distances(body.field, points)
-    chosen = signed < max(NEAR, 0.0)
+    chosen = signed < NEAR
     if body.field.step == 0.0 or not chosen.any():
         return float(signed.min())
-    exact = distances(np.ascontiguousarray(points[chosen]), triangle_tree(body.surface), NEAR)
+    exact = distances(np.ascontiguousarray(points[chosen]), body.tree, NEAR)
     return float((np.sign(signed[chosen]) * exact).min())
 
 

@@ -57,8 +57,7 @@ def field_of(shape: Shape) -> Field:
     """The field of a shape in its part's frame."""
     if isinstance(shape, Box):
         box = shape.bounding_box()
-        nothing = np.zeros((1, 1, 1), np.int16)
-        return Field(box.half_extents, np.zeros(3), np.eye(3), np.zeros(3), 0.0, math.inf, nothing)
+        return box_field(box.T_frame_box, box.half_extents)
     return kept_field(shape) if isinstance(shape, Mesh) else mesh_field(shape.surface())
 
 
@@ -76,11 +75,11 @@ def kept_field(shape: Mesh) -> Field:
     return field
 
 
-def box_field(T_world_box: Array, half: Array) -> Field:
-    """The field of a box at a pose, in the world."""
+def box_field(T_frame_box: Array, half: Array) -> Field:
+    """The field of a box at a pose in some frame."""
     nothing = np.zeros((1, 1, 1), np.int16)
-    axes = np.ascontiguousarray(T_world_box[:3, :3].T)
-    return Field(half, T_world_box[:3, 3].copy(), axes, np.zeros(3), 0.0, math.inf, nothing)
+    axes = np.ascontiguousarray(T_frame_box[:3, :3].T)
+    return Field(half, T_frame_box[:3, 3].copy(), axes, np.zeros(3), 0.0, math.inf, nothing)
 
 
 def mesh_field(mesh: TriangleMesh) -> Field:
@@ -221,6 +220,11 @@ def signed_distances(field: Field, points: Array) -> Array:
     for i in range(len(points)):
         found[i] = signed_distance(field, points[i, 0], points[i, 1], points[i, 2])
     return found
+
+
+def least_distance(field: Field, points: Array) -> float:
+    """Least signed distance of points (N, 3) in the field's frame, m."""
+    return float(signed_distances(field, points).min())
 
 
 def surface_points(mesh: TriangleMesh, spacing: float) -> Array:

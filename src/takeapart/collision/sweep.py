@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from takeapart.collision.fields import Field, signed_distance
 from takeapart.compilation import compiled
 from takeapart.model.geometry import Array
@@ -56,12 +54,3 @@ def _entry(field: Field, x: float, y: float, z: float, direction: Array, kept: f
         t0, t1 = (-reach - at) / along, (reach - at) / along
         first, last = max(first, min(t0, t1)), min(last, max(t0, t1))
     return first if first <= last else math.inf
-
-
-@compiled
-def nearest_distance(field: Field, points: Array) -> float:
-    """Least signed distance of points (N, 3) in the field's frame, m."""
-    least = np.inf
-    for i in range(len(points)):
-        least = min(least, signed_distance(field, points[i, 0], points[i, 1], points[i, 2]))
-    return least

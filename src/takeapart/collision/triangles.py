@@ -154,13 +154,3 @@ def distances(points: Array, tree: TriangleTree, bound: float) -> Array:
     for i in range(len(points)):
         found[i] = np.sqrt(nearest2(points[i, 0], points[i, 1], points[i, 2], tree, bound * bound, waiting))
     return found
-
-
-@compiled
-def least_distance(points: Array, tree: TriangleTree, bound: float) -> float:
-    """Distance, m, of the nearest of points (N, 3) from a surface; `bound` if it is not below that."""
-    waiting = np.empty(DEEPEST, np.int32)
-    best = bound * bound
-    for i in range(len(points)):
-        best = nearest2(points[i, 0], points[i, 1], points[i, 2], tree, best, waiting)
-    return float(np.sqrt(best))

@@ -10,8 +10,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from takeapart.collision.contact import Contacts
-from takeapart.collision.fields import Field, box_field
-from takeapart.collision.sweep import first_hit, nearest_distance
+from takeapart.collision.fields import Field, box_field, least_distance
+from takeapart.collision.sweep import first_hit
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox, pose_inverse
 from takeapart.removal.directions import directions_of, sphere
@@ -148,7 +148,7 @@ class Exits:
             if other == part:
                 continue
             theirs, T = self._contacts.body(other), self._assembly.parts[other].T_world_part
-            near = theirs.surface.moved(T).bounds
+            near = self._contacts.bounds[other]
             if (near[0] > swept[1] + self._clearance).any() or (near[1] < swept[0] - self._clearance).any():
                 continue
             kept = self._kept(part, other)
@@ -176,7 +176,7 @@ class Exits:
                 found.append((other, hit))
         for number, (field, _) in enumerate(self._obstacles):
             kept = self._clearance
-            hit = first_hit(field, points, direction, min(kept, nearest_distance(field, points) - BEYOND), self._travel)
+            hit = first_hit(field, points, direction, min(kept, least_distance(field, points) - BEYOND), self._travel)
             if hit < math.inf:
                 found.append((self._parts + number, hit))
         return found

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from takeapart.collision.contact import SPACING
-from takeapart.collision.fields import box_field, surface_points
-from takeapart.collision.sweep import nearest_distance
+from takeapart.collision.fields import box_field, least_distance, surface_points
 from takeapart.model.assembly import OVERLAP_TOLERANCE, Assembly
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, OrientedBox, box_separation
@@ -136,7 +135,7 @@ def _depth_in(obstacle: OrientedBox, assembly: Assembly, i: int) -> float:
     if isinstance(part.shape, Box) or depth <= 0:
         return depth
     points = surface_points(part.shape.surface().moved(part.T_world_part), SPACING)
-    return -nearest_distance(box_field(obstacle.T_frame_box, obstacle.half_extents), points)
+    return -least_distance(box_field(obstacle.T_frame_box, obstacle.half_extents), points)
 
 
 def _require_free_goal(assembly: Assembly, workcell: Workcell) -> None:

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from takeapart.collision.contact import MARGIN, Contacts
-from takeapart.collision.fields import Field
+from takeapart.collision.fields import Field, least_distance
 from takeapart.collision.screws import Screw
-from takeapart.collision.sweep import nearest_distance
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, pose_inverse
 
@@ -141,7 +140,7 @@ def stop(
         nearest = came.travel(body.field, _placed(theirs.points, mine @ T_other), nearest, kept)
     for box in obstacles:
         points = _placed(body.points, T)
-        nearest = screw.travel(box, points, nearest, min(0.0, nearest_distance(box, points)) - MARGIN)
+        nearest = screw.travel(box, points, nearest, min(0.0, least_distance(box, points)) - MARGIN)
     return nearest
 
 

@@ -5,6 +5,7 @@ Fixed parts stand in no state, and therefore in no mask here: what they carry is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -57,14 +58,19 @@ class ConnectorStability:
 
     def free(self, state: int) -> int:
         """State of the parts whose removal leaves every other part of `state` what it needs."""
-        needed = 0
-        for part in members(state):
-            needed |= self._needs[part]
-        return state & ~needed
+        return unneeded(state, self._needs)
 
     def dependents(self, part: int, state: int) -> int:
         """State of the parts of `state` that would fall if the part left."""
         return self._dependents[part] & state
+
+
+def unneeded(state: int, needs: Sequence[int]) -> int:
+    """Parts of a state that no part of it needs, by what each of all parts needs."""
+    needed = 0
+    for part in members(state):
+        needed |= needs[part]
+    return state & ~needed
 
 
 def unsupported(assembly: Assembly) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Array, Box, pose
+from takeapart.stability.connectors import unneeded
 from takeapart.stability.patches import ContactPatch, contact_patches
 from takeapart.stability.statics import UNCARRIED, Balance, Statics
 from takeapart.states import members
@@ -115,10 +116,7 @@ class ContactStability:
 
     def free(self, state: int) -> int:
         """State of the parts that may leave as far as masks tell; `stable` says the rest."""
-        needed = 0
-        for part in members(state):
-            needed |= self._needs[part]
-        return state & ~needed
+        return unneeded(state, self._needs)
 
     def dependents(self, part: int, state: int) -> int:
         """State of the parts of `state` that would fall for certain if the part left."""
