@@ -1,22 +1,24 @@
-"""The straight-line bound, the planner's and the judge's: no grasp inside a part has a shorter way, and the best has
-exactly this one."""
+"""The straight-line bound, the planner's and the judge's: no grasp where a part may be gripped has a shorter way, and
+the best has exactly this one."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
+from scipy.spatial import ConvexHull
 
-from conftest import random_box, random_rotation
+from conftest import random_rotation
 from takeapart.formats.bound_texts import SEQUENCE, STRAIGHT_LINE
 from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.model.assembly import Assembly, Part
-from takeapart.model.geometry import BOX_TRIANGLES, Array, OrientedBox, TriangleMesh, pose
+from takeapart.model.geometry import Array, Box, OrientedBox, TriangleMesh, pose
+from takeapart.model.meshes import Mesh
 from takeapart.model.plan import Plan
 from takeapart.removal.grasps import grasp_candidates, straight_line_bounds, volume_bound
 from takeapart.verification.checks import straight_line_bound
@@ -25,41 +27,24 @@ from takeapart.workcell import Workcell
 from verification_scene import scene_workcell
 
 
-@dataclass(frozen=True, eq=False)
-class Pieces:
-    """A shape of several boxes, turned against each other."""
-
-    pieces: tuple[OrientedBox, ...]
-
-    def boxes(self) -> tuple[OrientedBox, ...]:
-        return self.pieces
-
-    def bounding_box(self) -> OrientedBox:
-        corners = np.vstack([box.corners() for box in self.pieces])
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        return OrientedBox(pose((low + high) / 2), (high - low) / 2)
-
-    def surface(self) -> TriangleMesh:
-        surfaces = [TriangleMesh(box.corners(), BOX_TRIANGLES + np.int32(8 * i)) for i, box in enumerate(self.pieces)]
-        return TriangleMesh(
-            np.vstack([each.vertices for each in surfaces]), np.vstack([each.triangles for each in surfaces])
-        )
-
-    def center_of_mass(self) -> Array:
-        weights = np.array([np.prod(box.half_extents) for box in self.pieces])
-        return np.asarray(weights @ [box.T_frame_box[:3, 3] for box in self.pieces] / weights.sum())
-
-    def volume(self) -> float:
-        return float(sum(8 * np.prod(box.half_extents) for box in self.pieces))
+def random_shape(rng: np.random.Generator) -> Box | Mesh:
+    """A box, or the hull of some points, which fills no box."""
+    size = rng.uniform(0.005, 0.15, 3)
+    if rng.random() < 0.5:
+        return Box((float(size[0]), float(size[1]), float(size[2])))
+    corners = rng.uniform(-0.5, 0.5, (6, 3)) * size
+    triangles = ConvexHull(corners).simplices.astype(np.int32)
+    out = np.cross(*np.moveaxis(corners[triangles[:, 1:]] - corners[triangles[:, :1]], 1, 0))
+    inward = np.einsum("ni,ni->n", out, corners[triangles[:, 0]] - corners.mean(axis=0)) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return Mesh(TriangleMesh(corners, triangles))
 
 
 def random_case(rng: np.random.Generator) -> tuple[Part, Workcell]:
-    """A part of one to three boxes, and a goal: near, far, or in the lifted part itself."""
+    """A part, and a goal: near, far, or in the part itself as it is lifted."""
     T = pose(rng.uniform(-0.5, 0.5, 3))
     T[:3, :3] = random_rotation(rng)
-    corner = np.full(3, 0.2)
-    boxes = [random_box(rng, -corner, corner, 0.005, 0.15) for _ in range(int(rng.integers(1, 4)))]
-    part = Part("part", Pieces(tuple(boxes)), T, 1.0)
+    part = Part("part", random_shape(rng), T, 1.0)
     lift = float(rng.uniform(0.01, 0.2))
     goal = rng.uniform(-1.0, 1.0, 3)
     if rng.random() < 0.2:
@@ -67,45 +52,52 @@ def random_case(rng: np.random.Generator) -> tuple[Part, Workcell]:
     return part, replace(scene_workcell(), lift_height=lift, goal=goal)
 
 
+def lift_of(part: Part, workcell: Workcell) -> float:
+    """By which its removal starts, m: a product with meshes leaves in any direction."""
+    return workcell.lift_height if isinstance(part.shape, Box) else 0.0
+
+
+def reachable(part: Part) -> OrientedBox:
+    """Where the tool's point may be at the grasp, in the world: in a box, or so far around what is none."""
+    box = part.shape.bounding_box()
+    beyond = 0.0 if isinstance(part.shape, Box) else 0.012
+    return OrientedBox(box.T_frame_box, box.half_extents + beyond).moved(part.T_world_part)
+
+
 def judged(part: Part, workcell: Workcell) -> float:
     return straight_line_bound(Assembly("one", (part,)), workcell)
 
 
 def points_inside(part: Part, count: int, rng: np.random.Generator) -> Array:
-    """(count, 3) in the world; half of them on the surface of a box."""
-    boxes = part.shape.boxes()
-    found = []
+    """(count, 3) in the world, where it may be gripped; half of them on the surface."""
+    box, found = reachable(part), []
     for _ in range(count):
-        box = boxes[int(rng.integers(len(boxes)))]
         local = rng.uniform(-1.0, 1.0, 3)
         if rng.random() < 0.5:
             axes = rng.random(3) < 0.5
             local[axes] = np.sign(local[axes])
-        inside = box.T_frame_box @ np.append(local * box.half_extents, 1.0)
-        found.append((part.T_world_part @ inside)[:3])
+        found.append((box.T_frame_box @ np.append(local * box.half_extents, 1.0))[:3])
     return np.array(found)
 
 
 def shortest_way(part: Part, workcell: Workcell) -> float:
-    """By bounded least squares over the points of every box."""
-    lengths = []
-    for box in part.shape.boxes():
-        T = part.T_world_part @ box.T_frame_box
-        spans = T[:3, :3] * box.half_extents
-        left = workcell.goal - T[:3, 3] - [0.0, 0.0, workcell.lift_height]
-        point = lsq_linear(spans, left, bounds=(-1.0, 1.0), tol=1e-14).x
-        lengths.append(workcell.lift_height + float(np.linalg.norm(spans @ point - left)))
-    return min(lengths)
+    """By bounded least squares over the points where it may be gripped."""
+    box, lift = reachable(part), lift_of(part, workcell)
+    spans = box.T_frame_box[:3, :3] * box.half_extents
+    left = workcell.goal - box.T_frame_box[:3, 3] - [0.0, 0.0, lift]
+    point = lsq_linear(spans, left, bounds=(-1.0, 1.0), tol=1e-14).x
+    return lift + float(np.linalg.norm(spans @ point - left))
 
 
 def test_no_path_from_a_grasp_inside_the_part_is_shorter() -> None:
     rng = np.random.default_rng(0)
     for _ in range(100):
         part, cell = random_case(rng)
-        bound = volume_bound(part, cell.lift_height, cell.goal)
+        lift = lift_of(part, cell)
+        bound = volume_bound(part, lift, cell.goal)
         assert judged(part, cell) == pytest.approx(bound, abs=1e-12)
         for grasp in points_inside(part, 50, rng):
-            lifted = grasp + [0.0, 0.0, cell.lift_height]
+            lifted = grasp + [0.0, 0.0, lift]
             between = rng.uniform(-1.0, 1.0, (int(rng.integers(0, 3)), 3))
             length = sum(math.dist(a, b) for a, b in pairwise([grasp, lifted, *between, cell.goal]))
             assert length >= bound - 1e-12
@@ -116,7 +108,7 @@ def test_the_best_grasp_inside_the_part_has_exactly_this_way() -> None:
     for _ in range(100):
         part, cell = random_case(rng)
         expected = shortest_way(part, cell)
-        assert volume_bound(part, cell.lift_height, cell.goal) == pytest.approx(expected, abs=1e-6)
+        assert volume_bound(part, lift_of(part, cell), cell.goal) == pytest.approx(expected, abs=1e-6)
         assert judged(part, cell) == pytest.approx(expected, abs=1e-6)
 
 
