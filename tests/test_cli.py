@@ -234,7 +234,12 @@ def test_every_option_is_explained() -> None:
 
 
 def test_help_pages_keep_their_lines_and_end_with_an_example() -> None:
-    for name in (*(each for each in main.commands if each != "reproduce"), "reproduce paper", "reproduce beyond"):
+    for name in (
+        *(each for each in main.commands if each != "reproduce"),
+        "reproduce paper",
+        "reproduce beyond",
+        "generate products",
+    ):
         text = run(*name.split(), "--help").stdout
         assert "\\b" not in text and "\b" not in text and "``" not in text
         shown = text[text.index("  Example") :].splitlines()[1:]
@@ -245,7 +250,7 @@ def test_help_pages_keep_their_lines_and_end_with_an_example() -> None:
 
 
 def test_help_pages_fit_in_80_columns() -> None:
-    for name in ("", *main.commands, "reproduce paper", "reproduce beyond"):
+    for name in ("", *main.commands, "reproduce paper", "reproduce beyond", "generate products"):
         assert all(len(line) <= 80 for line in run(*name.split(), "--help").stdout.splitlines()), name
 
 

@@ -28,7 +28,7 @@ ENDINGS = {
     "render --out": ".png",
 }
 FOLDERS = {"generate --out", "demo --out", "compare --out", "reproduce paper --out", "reproduce beyond --out"}
-FOLDERS |= {"plan --run", "plan --experience"}
+FOLDERS |= {"plan --run", "plan --experience", "generate products --out"}
 PATHS = {"--out", "--run", "--experience", "--guide", "--workcell", "--assembly", "--html", "--report", "--document"}
 PATHS |= {"--verification", "--product"}
 COMMANDS = {
@@ -44,6 +44,7 @@ COMMANDS = {
     "compare": ["a.json", "--budget-queries", "1"],
     "train": ["seen"],
     "generate": [],
+    "generate products": [],
     "demo": [],
     "robot": ["panda", "--product", "a.json", "--workcell", "new.toml"],
     "reproduce paper": ["--quick"],

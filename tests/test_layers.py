@@ -71,7 +71,7 @@ cli
 # Where a library with a large footprint, or one that is an optional extra, may be imported.
 CONFINED = {
     "fcl": ("verification.solids",),
-    "manifold3d": ("verification.solids", "formats.importing"),
+    "manifold3d": ("verification.solids", "formats.importing", "generate.products.solids"),
     "mujoco": ("verification", "pictures"),
     "torch": ("guide",),
     "safetensors": ("guide",),

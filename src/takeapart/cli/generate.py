@@ -1,4 +1,6 @@
-"""``takeapart generate``: aluminium-profile assemblies as in the paper (Sec. IV-A), each with a feasible order."""
+"""``takeapart generate``: aluminium-profile assemblies as in the paper (Sec. IV-A), each with a feasible order; and the
+products that are shipped, drawn in code.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,13 @@ if TYPE_CHECKING:
     from takeapart.workcell import Workcell
 
 
-@click.command(
-    short_help="Make random aluminium-profile assemblies.",
-    epilog=examples("takeapart generate --layers 2 --back 3 --front 3 --count 7 --out double"),
+@click.group(
+    invoke_without_command=True,
+    short_help="Make random aluminium-profile assemblies, or the shipped products.",
+    epilog=examples(
+        "takeapart generate --layers 2 --back 3 --front 3 --count 7 --out double",
+        "takeapart generate products --out products",
+    ),
 )
 @click.option("--layers", type=int, default=1, show_default=True, help="Levels of bars between bottom and top.")
 @click.option("--back", type=int, default=4, show_default=True, help="Bars added at the back of every layer.")
@@ -93,7 +99,9 @@ if TYPE_CHECKING:
 )
 @workcell_option
 @json_option
+@click.pass_context
 def generate(
+    context: click.Context,
     layers: int,
     back: int,
     front: int,
@@ -119,6 +127,8 @@ def generate(
     --back 3 --front 3 gives 30. The arm reaches no larger ones; more layers need less height each and a higher base
     (--workcell panda-tall), more than 100 parts stand around the robot (--cells 4 --workcell panda-cells).
     """
+    if context.invoked_subcommand is not None:
+        return
     from takeapart.formats.files import load_workcell, save_assembly
     from takeapart.generate import profiles
     from takeapart.generate.cells import cells_around
@@ -162,6 +172,45 @@ def generate(
             )
             if not as_json:
                 click.echo(_line(file, len(made.assembly.witness), made.rejections))
+    if as_json:
+        print_json({"files": results})
+
+
+@generate.command(
+    short_help="Draw the shipped products.",
+    epilog=examples("takeapart generate products --out products", "takeapart generate products gearbox --out products"),
+)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option(
+    "--out", type=FOLDER, default=Path("products"), show_default=True, help="Folder of the products; made if needed."
+)
+@json_option
+def products(names: tuple[str, ...], out: Path, as_json: bool) -> None:
+    """Draw the products that come with takeapart, or those that are named: each in a folder of its own.
+
+    Every product is a function that joins and cuts solids; the same files come out of it every time, byte for byte.
+    Needs the extra "verify".
+    """
+    from takeapart.formats.files import save_assembly
+    from takeapart.generate.products import PRODUCTS
+    from takeapart.model.errors import UnknownNameError
+
+    for name in names:
+        if name not in PRODUCTS:
+            raise UnknownNameError("product", name, list(PRODUCTS))
+    wanted = list(dict.fromkeys(names)) or list(PRODUCTS)
+    files = {name: out / name / "assembly.json" for name in wanted}
+    make_folder(out)
+    for file in files.values():
+        make_folder(file.parent)
+        require_output(file)
+    results = []
+    for name, file in files.items():
+        assembly = PRODUCTS[name]()
+        save_assembly(assembly, file)
+        results.append({"file": str(file), "name": name, "parts": len(assembly.parts)})
+        if not as_json:
+            click.echo(f"{file}: {assembly.provenance['title']}, {len(assembly.parts)} parts")
     if as_json:
         print_json({"files": results})
 

@@ -27,6 +27,7 @@ from takeapart.model.plan import Plan
 from takeapart.workcell import Workcell
 
 MAXIMUM_NEIGHBOURS = 1000  # files of a folder that are looked at
+SHIPPED_ASSEMBLIES = ("*/*.json", "products/*/assembly.json")
 
 
 def with_sources(plan: Plan, path: PathLike, assembly: PathLike, workcell: PathLike) -> Plan:
@@ -85,7 +86,8 @@ def source_assembly(plan: Plan, folders: Sequence[PathLike], where: str) -> Asse
 def assembly_of_hash(name: str, digest: str, folders: Sequence[PathLike], where: str, named: str = "") -> Assembly:
     """As `source_assembly`, where there is no plan yet."""
     other = ""
-    shipped = sorted(data_path(".").glob("*/*.json"), key=lambda file: (file.stem not in name, file))
+    files = (file for pattern in SHIPPED_ASSEMBLIES for file in data_path(".").glob(pattern))
+    shipped = sorted(files, key=lambda file: (file.stem not in name and file.parent.name != name, file))
     for file in (*_neighbours(folders, named, ".json"), *shipped):
         try:
             content = read_bytes(file, MAXIMUM_ASSEMBLY_BYTES)
