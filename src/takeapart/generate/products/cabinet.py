@@ -1,0 +1,79 @@
+"""An instrument cabinet: drawers behind a locking rod, cartridges that lean to both sides, fans in its flanks."""
+
+from __future__ import annotations
+
+import math
+
+from takeapart.generate.products.drawing import ALUMINIUM, PLASTIC, STEEL, Drawing, about_y, about_z
+from takeapart.generate.products.solids import Solid, along_x, block, cylinder, rounded_block
+from takeapart.model.assembly import Assembly
+
+WIDE, DEEP, HIGH = 190.0, 120.0, 150.0  # mm, of the housing; its front looks along -y
+DRAWERS = (8.0, 52.0)  # mm, heights of the drawers' floors
+DRAWER = (150.0, 100.0, 38.0)  # mm
+PLAY = 0.15  # mm, on each side
+LEAN = 30.0  # degrees from upright, of the cartridges
+CARTRIDGE = (30.0, 50.0, 70.0)  # mm
+SUNK = 34.0  # mm, that a cartridge is in its slot
+SLOTS = ((-50.0, -LEAN), (50.0, LEAN))  # x of a slot's mouth, mm, and its lean
+ROD = (-81.0, -DEEP / 2 - 12.0)  # x and y, mm
+
+
+def drawer() -> Solid:
+    """An open box with a front plate, a knob, and an eye for the locking rod; its front plate's back is at y = 0."""
+    x, y, z = DRAWER
+    body = block((-x / 2, 0, 0), (x / 2, y, z)) - block((-x / 2 + 3, 3, 3), (x / 2 - 3, y - 3, z + 1))
+    body += block((-92, -5, 0), (80, 0, z))
+    body += block((-20, -34, 12), (20, -22, 28)) + block((-5, -23, 14), (5, -4, 26))
+    eye = block((ROD[0] - 9, ROD[1] + DEEP / 2 - 9, 10), (ROD[0] + 9, -4, 22))
+    return body + eye - cylinder(5.2, 9, 23, (ROD[0], ROD[1] + DEEP / 2), 24)
+
+
+def cartridge() -> Solid:
+    """A block with a handle; it stands on z = 0."""
+    x, y, z = CARTRIDGE
+    return rounded_block((-x / 2, -y / 2, 0), (x / 2, y / 2, z), 4) + block((-6, -20, z), (6, 20, z + 16))
+
+
+def fan() -> Solid:
+    """A round insert along z: a spigot below a rim, with a grip on top."""
+    return (
+        cylinder(17.8, -14.0, 0.0, segments=48)
+        + cylinder(23.0, 0.0, 5.0, segments=48)
+        + block((-7, -14, 5), (7, 14, 22))
+    )
+
+
+def cabinet() -> Assembly:
+    """The product."""
+    drawing = Drawing("cabinet", "instrument cabinet with drawers", (0.19, 0.22, 0.0))
+    x, y, z = DRAWER
+    front = -DEEP / 2
+    housing = rounded_block((-WIDE / 2, front, 0), (WIDE / 2, DEEP / 2, 100.0), 4)
+    shoulder = block((-WIDE / 2 + 10, front + 20, 100.0), (WIDE / 2 - 10, DEEP / 2 - 10, HIGH))
+    housing += shoulder
+    for floor in DRAWERS:
+        housing -= block((-x / 2 - PLAY, front - 1, floor), (x / 2 + PLAY, front + y + 1, floor + z + 2 * PLAY))
+    housing += block((ROD[0] - 9, front - 21, 0), (ROD[0] + 9, front + 2, 6.0))
+    housing -= cylinder(5.2, 2.0, 7.0, ROD, 24)
+    for place, lean in SLOTS:
+        slot = block(
+            (-CARTRIDGE[0] / 2 - PLAY, -CARTRIDGE[1] / 2 - PLAY, -SUNK),
+            (CARTRIDGE[0] / 2 + PLAY, CARTRIDGE[1] / 2 + PLAY, 80),
+        )
+        housing -= slot.rotate([0, lean, 0]).translate([place, 5, HIGH])
+    for side in (-1.0, 1.0):
+        hole = along_x(cylinder(18.0, 0.0, 14.5, segments=48)).translate([WIDE / 2 - 14.2, 0, 0])
+        housing -= hole.rotate([0, 0, 0 if side > 0 else 180]).translate([0, 0, 50.0])
+    drawing.add("housing", housing, ALUMINIUM, fixed=True)
+    for number, floor in enumerate(DRAWERS, 1):
+        drawing.add(f"drawer-{number}", drawer(), PLASTIC, (0, front - 0.1, floor))
+    drawing.add("rod", cylinder(5.0, 2.0, 110.0, ROD, 24) + cylinder(9.0, 110.0, 122.0, ROD, 24), STEEL)
+    for number, (place, lean) in enumerate(SLOTS, 1):
+        down = math.radians(lean)
+        at = (place - SUNK * math.sin(down), 5.0, HIGH - SUNK * math.cos(down))
+        drawing.add(f"cartridge-{number}", cartridge(), PLASTIC, at, about_y(lean))
+    for number, side in enumerate((-1.0, 1.0), 1):
+        R = about_z(0 if side > 0 else 180) @ about_y(90)
+        drawing.add(f"fan-{number}", fan(), PLASTIC, (side * (WIDE / 2 + 0.1), 0, 49.8), R)
+    return drawing.assembly()
