@@ -1,15 +1,18 @@
-"""An instrument cabinet: drawers behind a locking rod, cartridges that lean to both sides, fans in its flanks."""
+"""An instrument cabinet: drawers behind a locking rod, cartridges that lean to both sides, fans in its back."""
 
 from __future__ import annotations
 
 import math
 
-from takeapart.generate.products.drawing import ALUMINIUM, PLASTIC, STEEL, Drawing, about_y, about_z
-from takeapart.generate.products.solids import Solid, along_x, block, cylinder, rounded_block
+from takeapart.generate.products.drawing import ALUMINIUM, PLASTIC, STEEL, Drawing, about_y
+from takeapart.generate.products.solids import Solid, along_y, block, cylinder, rounded_block
 from takeapart.model.assembly import Assembly
 
-WIDE, DEEP, HIGH = 190.0, 120.0, 150.0  # mm, of the housing; its front looks along -y
-DRAWERS = (8.0, 52.0)  # mm, heights of the drawers' floors
+WIDE, DEEP, HIGH = 190.0, 120.0, 182.0  # mm, of the housing; its front looks along -y
+DRAWERS = (40.0, 84.0)  # mm, heights of the drawers' floors
+EDGE = 132.0  # mm, height of the step in front of the cartridges
+FANS = (-50.0, 50.0)  # x, mm
+FAN_HEIGHT = 82.0  # mm
 DRAWER = (150.0, 100.0, 38.0)  # mm
 PLAY = 0.15  # mm, on each side
 LEAN = 30.0  # degrees from upright, of the cartridges
@@ -49,31 +52,29 @@ def cabinet() -> Assembly:
     drawing = Drawing("cabinet", "instrument cabinet with drawers", (0.19, 0.22, 0.0))
     x, y, z = DRAWER
     front = -DEEP / 2
-    housing = rounded_block((-WIDE / 2, front, 0), (WIDE / 2, DEEP / 2, 100.0), 4)
-    shoulder = block((-WIDE / 2 + 10, front + 20, 100.0), (WIDE / 2 - 10, DEEP / 2 - 10, HIGH))
+    housing = rounded_block((-WIDE / 2, front, 0), (WIDE / 2, DEEP / 2, EDGE), 4)
+    shoulder = block((-WIDE / 2 + 10, front + 20, EDGE), (WIDE / 2 - 10, DEEP / 2 - 10, HIGH))
     housing += shoulder
     for floor in DRAWERS:
         housing -= block((-x / 2 - PLAY, front - 1, floor), (x / 2 + PLAY, front + y + 1, floor + z + 2 * PLAY))
-    housing += block((ROD[0] - 9, front - 21, 0), (ROD[0] + 9, front + 2, 6.0))
-    housing -= cylinder(5.2, 2.0, 7.0, ROD, 24)
+    housing += block((ROD[0] - 9, front - 21, 0), (ROD[0] + 9, front + 2, 38.0))
+    housing -= cylinder(5.2, 34.0, 39.0, ROD, 24)
     for place, lean in SLOTS:
         slot = block(
             (-CARTRIDGE[0] / 2 - PLAY, -CARTRIDGE[1] / 2 - PLAY, -SUNK),
             (CARTRIDGE[0] / 2 + PLAY, CARTRIDGE[1] / 2 + PLAY, 80),
         )
         housing -= slot.rotate([0, lean, 0]).translate([place, 5, HIGH])
-    for side in (-1.0, 1.0):
-        hole = along_x(cylinder(18.0, 0.0, 14.5, segments=48)).translate([WIDE / 2 - 14.2, 0, 0])
-        housing -= hole.rotate([0, 0, 0 if side > 0 else 180]).translate([0, 0, 50.0])
+    for place in FANS:
+        housing -= along_y(cylinder(18.0, 0.0, 15.0, segments=48)).translate([place, DEEP / 2 - 14.2, FAN_HEIGHT])
     drawing.add("housing", housing, ALUMINIUM, fixed=True)
     for number, floor in enumerate(DRAWERS, 1):
         drawing.add(f"drawer-{number}", drawer(), PLASTIC, (0, front - 0.1, floor))
-    drawing.add("rod", cylinder(5.0, 2.0, 110.0, ROD, 24) + cylinder(9.0, 110.0, 122.0, ROD, 24), STEEL)
+    drawing.add("rod", cylinder(5.0, 34.0, 142.0, ROD, 24) + cylinder(9.0, 142.0, 156.0, ROD, 24), STEEL)
     for number, (place, lean) in enumerate(SLOTS, 1):
         down = math.radians(lean)
         at = (place - SUNK * math.sin(down), 5.0, HIGH - SUNK * math.cos(down))
         drawing.add(f"cartridge-{number}", cartridge(), PLASTIC, at, about_y(lean))
-    for number, side in enumerate((-1.0, 1.0), 1):
-        R = about_z(0 if side > 0 else 180) @ about_y(90)
-        drawing.add(f"fan-{number}", fan(), PLASTIC, (side * (WIDE / 2 + 0.1), 0, 49.8), R)
+    for number, place in enumerate(FANS, 1):
+        drawing.add(f"fan-{number}", along_y(fan()), PLASTIC, (place, DEEP / 2, FAN_HEIGHT - 0.2))
     return drawing.assembly()

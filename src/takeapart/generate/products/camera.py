@@ -9,9 +9,9 @@ from takeapart.generate.products.solids import (
     Solid,
     along_y,
     block,
-    cap_screw,
     cylinder,
     extruded,
+    hexagon_screw,
     rounded_block,
     tube,
 )
@@ -79,7 +79,7 @@ def camera() -> Assembly:
     drawing.add("mount", mount(), STEEL)
     for number, angle in enumerate(SCREWS, 1):
         x, y = RIM * math.cos(math.radians(angle)), RIM * math.sin(math.radians(angle))
-        drawing.add(f"screw-{number}", cap_screw(2.5, 24.0, 5.0, 9.0), STEEL, (x, y, MOUNT))
+        drawing.add(f"screw-{number}", hexagon_screw(2.5, 24.0, 11.0, 12.0), STEEL, (x, y, MOUNT))
     turn = TURN + (SLOT_WIDE - LUG_WIDE) / 2 - 0.5
     drawing.add("lens", lens(), BRASS, (0, 0, MOUNT), about_z(turn))
     drawing.add("hood", tube(30.0, 25.2, 0, 34.0, 48), PLASTIC, (0, 0, MOUNT + 42))

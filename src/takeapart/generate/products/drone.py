@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from takeapart.generate.products.drawing import ALUMINIUM, CARBON, PLASTIC, STEEL, Drawing, about_z
-from takeapart.generate.products.solids import Solid, block, cap_screw, cylinder, rounded_block
+from takeapart.generate.products.solids import Solid, block, cylinder, hexagon_screw, rounded_block
 from takeapart.model.assembly import Assembly
 
 ARMS = (45.0, 135.0, 225.0, 315.0)  # degrees
@@ -13,7 +13,7 @@ START, MOTOR, END = 20.0, 118.0, 134.0  # mm from the axis, along an arm
 WIDE, HIGH, SLOT = 16.0, 14.0, 5.0  # mm, profile
 STAND, BOTTOM, TOP = 40.0, 46.0, 60.0  # mm, heights: under the bottom plate, under and on the arms
 UPPER = 66.0  # mm, height of the top plate's upper side
-SCREWS = ((27.0, 0.0), (0.0, 27.0), (-27.0, 0.0), (0.0, -27.0))  # mm
+SCREWS = ((29.0, 0.0), (0.0, 29.0), (-29.0, 0.0), (0.0, -29.0))  # mm
 
 
 def arm() -> Solid:
@@ -65,7 +65,7 @@ def drone() -> Assembly:
         drawing.add(f"propeller-{number}", propeller(), PLASTIC, (x, y, TOP + 22), about_z(angle + 90))
     drawing.add("top-plate", top, CARBON)
     for number, (x, y) in enumerate(SCREWS, 1):
-        drawing.add(f"screw-{number}", cap_screw(2.5, 24.0, 5.5, 9.0), STEEL, (x, y, UPPER))
+        drawing.add(f"screw-{number}", hexagon_screw(2.5, 24.0, 11.0, 12.0), STEEL, (x, y, UPPER))
     battery = rounded_block((-18, -13, 0), (18, 13, 30), 3)
     drawing.add("battery", battery, 2000.0, (0, 0, UPPER))
     return drawing.assembly()

@@ -10,6 +10,7 @@ from takeapart.generate.products.solids import (
     cylinder,
     extruded,
     gear_outline,
+    hexagon_screw,
     rounded_block,
     tube,
 )
@@ -95,7 +96,7 @@ def gearbox() -> Assembly:
     for name, x in SHAFTS.items():
         drawing.add(f"{name}-bearing-upper", bearing(), STEEL, (x, 0, SHOULDER))
     drawing.add("cover", cover(), ALUMINIUM)
-    drawing.add("oil-plug", cap_screw(8.0, 9.0, 11.0, 10.0), BRASS, (0, 30, 88))
+    drawing.add("oil-plug", cap_screw(8.0, 9.0, 11.0, 12.0), BRASS, (0, 30, 88))
     for number, (x, y) in enumerate(SCREWS, 1):
-        drawing.add(f"screw-{number}", cap_screw(4.0, 18.0, 6.5, 9.0), STEEL, (x, y, FLANGE))
+        drawing.add(f"screw-{number}", hexagon_screw(4.0, 18.0, 13.0, 12.0), STEEL, (x, y, FLANGE))
     return drawing.assembly()

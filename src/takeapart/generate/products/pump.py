@@ -7,10 +7,10 @@ from takeapart.generate.products.solids import (
     Solid,
     along_y,
     block,
-    cap_screw,
     cylinder,
     extruded,
     gear_outline,
+    hexagon_screw,
     rounded_block,
     tube,
 )
@@ -60,7 +60,7 @@ def pump() -> Assembly:
     drawing.add("idler-gear", idler, STEEL, (AXES[1], 0, 0))
     drawing.add("cover", cover, ALUMINIUM)
     for number, (x, y) in enumerate(SCREWS, 1):
-        drawing.add(f"screw-{number}", cap_screw(3.0, 26.0, 6.0, 9.0), STEEL, (x, y, COVER))
+        drawing.add(f"screw-{number}", hexagon_screw(3.0, 26.0, 13.0, 12.0), STEEL, (x, y, COVER))
     drawing.add("coupling", tube(13.0, 4.65, 66.0, 92.0), STEEL, (AXES[0], 0, 0))
     out = fitting().rotate([-90, 0, 0])
     drawing.add("outlet", out, BRASS, (0, 38.0, PORT_HEIGHT))

@@ -126,6 +126,12 @@ def cap_screw(shank: float, length: float, head: float, height: float) -> Solid:
     return body - cylinder(0.5 * head, 0.5 * height, height + 1, segments=6)
 
 
+def hexagon_screw(shank: float, length: float, across: float, height: float) -> Solid:
+    """A screw with a hexagon head, whose underside is at z = 0 and whose flats are `across` apart."""
+    head = cylinder(across / math.sqrt(3.0), 0.0, height, segments=6)
+    return head + cylinder(shank, -length, 0.0, segments=24)
+
+
 def mesh_of(solid: Solid) -> Mesh:
     """The shape of a body, in metres; equal bodies have equal meshes, digit by digit."""
     found = solid.to_mesh64()
