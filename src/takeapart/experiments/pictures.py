@@ -1,4 +1,4 @@
-"""The pictures of the README: an animation of a plan, how a search comes to its end, and another arm.
+"""The pictures of the README: an animation of a plan, how a search comes to its end, another arm, the shipped products.
 
 python -m takeapart.experiments.pictures --folder docs/pictures
 """
@@ -20,6 +20,7 @@ from takeapart.show.scene import PlanScene
 ASSEMBLY, WORKCELL = "single/01.json", "panda"
 OTHER_ASSEMBLY, OTHER_WORKCELL, OTHER_STEP = "single/03.json", "ur5e", 9
 WIDTH, HEIGHT, FRAMES, FRAMES_PER_SECOND = 400, 320, 6, 7.0
+PRODUCT_WIDTH, PRODUCT_HEIGHT = 420, 315
 
 
 def draw_plan(scene: PlanScene, file: Path) -> None:
@@ -52,12 +53,24 @@ def draw_step(scene: PlanScene, step: int, file: Path) -> None:
         save_png(renderer.picture(moment), file)
 
 
+def draw_products(folder: Path) -> None:
+    """Every shipped product, as it is put together."""
+    folder.mkdir(parents=True, exist_ok=True)
+    options = RenderOptions(PRODUCT_WIDTH, PRODUCT_HEIGHT, robot=False, soft=True)
+    for file in sorted(data_path("products").glob("*/assembly.json")):
+        assembly = load_assembly(file)
+        scene = PlanScene(assembly, load_workcell(WORKCELL), None)
+        with Renderer(scene, options, chosen_view(scene, options, None)) as renderer:
+            save_png(renderer.picture(None), folder / f"{assembly.name}.png")
+
+
 def main() -> int:
     """Plans shipped assemblies and draws all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=Path("docs/pictures"))
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
+    draw_products(folder / "products")
     assembly, workcell = load_assembly(data_path(ASSEMBLY)), load_workcell(WORKCELL)
     made = plan(assembly, workcell, PlanningOptions())
     if not isinstance(made, Plan):
@@ -71,7 +84,7 @@ def main() -> int:
         print(other, file=sys.stderr)
         return 3
     draw_step(PlanScene(assembly, workcell, other), OTHER_STEP, folder / "ur5e.png")
-    for file in sorted(folder.iterdir()):
+    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
         print(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
     return 0
 

@@ -8,11 +8,11 @@ from takeapart.generate.products.drawing import ALUMINIUM, PLASTIC, STEEL, Drawi
 from takeapart.generate.products.solids import Solid, along_y, block, cylinder, rounded_block
 from takeapart.model.assembly import Assembly
 
-WIDE, DEEP, HIGH = 190.0, 120.0, 182.0  # mm, of the housing; its front looks along -y
-DRAWERS = (40.0, 84.0)  # mm, heights of the drawers' floors
-EDGE = 132.0  # mm, height of the step in front of the cartridges
+WIDE, DEEP, HIGH = 190.0, 120.0, 212.0  # mm, of the housing; its front looks along -y
+DRAWERS = (70.0, 114.0)  # mm, heights of the drawers' floors
+EDGE = 162.0  # mm, height of the step in front of the cartridges
 FANS = (-50.0, 50.0)  # x, mm
-FAN_HEIGHT = 82.0  # mm
+FAN_HEIGHT = 112.0  # mm
 DRAWER = (150.0, 100.0, 38.0)  # mm
 PLAY = 0.15  # mm, on each side
 LEAN = 30.0  # degrees from upright, of the cartridges
@@ -27,7 +27,7 @@ def drawer() -> Solid:
     x, y, z = DRAWER
     body = block((-x / 2, 0, 0), (x / 2, y, z)) - block((-x / 2 + 3, 3, 3), (x / 2 - 3, y - 3, z + 1))
     body += block((-92, -5, 0), (80, 0, z))
-    body += block((-20, -34, 12), (20, -22, 28)) + block((-5, -23, 14), (5, -4, 26))
+    body += block((-20, -56, 12), (20, -42, 28)) + block((-5, -43, 14), (5, -4, 26))
     eye = block((ROD[0] - 9, ROD[1] + DEEP / 2 - 9, 10), (ROD[0] + 9, -4, 22))
     return body + eye - cylinder(5.2, 9, 23, (ROD[0], ROD[1] + DEEP / 2), 24)
 
@@ -57,8 +57,8 @@ def cabinet() -> Assembly:
     housing += shoulder
     for floor in DRAWERS:
         housing -= block((-x / 2 - PLAY, front - 1, floor), (x / 2 + PLAY, front + y + 1, floor + z + 2 * PLAY))
-    housing += block((ROD[0] - 9, front - 21, 0), (ROD[0] + 9, front + 2, 38.0))
-    housing -= cylinder(5.2, 34.0, 39.0, ROD, 24)
+    housing += block((ROD[0] - 9, front - 21, 0), (ROD[0] + 9, front + 2, 68.0))
+    housing -= cylinder(5.2, 64.0, 69.0, ROD, 24)
     for place, lean in SLOTS:
         slot = block(
             (-CARTRIDGE[0] / 2 - PLAY, -CARTRIDGE[1] / 2 - PLAY, -SUNK),
@@ -70,7 +70,7 @@ def cabinet() -> Assembly:
     drawing.add("housing", housing, ALUMINIUM, fixed=True)
     for number, floor in enumerate(DRAWERS, 1):
         drawing.add(f"drawer-{number}", drawer(), PLASTIC, (0, front - 0.1, floor))
-    drawing.add("rod", cylinder(5.0, 34.0, 142.0, ROD, 24) + cylinder(9.0, 142.0, 156.0, ROD, 24), STEEL)
+    drawing.add("rod", cylinder(5.0, 64.0, 172.0, ROD, 24) + cylinder(9.0, 172.0, 186.0, ROD, 24), STEEL)
     for number, (place, lean) in enumerate(SLOTS, 1):
         down = math.radians(lean)
         at = (place - SUNK * math.sin(down), 5.0, HIGH - SUNK * math.cos(down))

@@ -43,10 +43,11 @@ def pump() -> Assembly:
     """The product."""
     drawing = Drawing("pump", "gear pump", (0.16, 0.20, 0.0))
     body = rounded_block((-60, -38, 0), (60, 38, TOP), 12)
-    cover = rounded_block((-60, -38, TOP), (60, 38, COVER), 12) + cylinder(14.0, COVER, 60.0, (AXES[0], 0))
+    cover = rounded_block((-60, -38, TOP), (60, 38, COVER), 12)
     for x in AXES:
         body -= cylinder(TIP + 0.2, FLOOR, TOP + 1, (x, 0), 64) + cylinder(HOLE, 4.0, FLOOR + 1, (x, 0))
-        cover -= cylinder(HOLE, TOP - 1, 61.0 if x < 0 else 43.5, (x, 0))
+        cover += cylinder(12.0, COVER, 60.0, (x, 0))
+        cover -= cylinder(HOLE, TOP - 1, 61.0 if x < 0 else 56.5, (x, 0))
     for at in SCREWS:
         body -= cylinder(3.15, 8.0, TOP + 1, at, 24)
         cover -= cylinder(3.3, TOP - 1, COVER + 1, at, 24)
@@ -56,7 +57,7 @@ def pump() -> Assembly:
     body = body - (port - inside) - channel
     drawing.add("body", body, ALUMINIUM, fixed=True)
     drawing.add("drive-gear", gear_shaft(84.0), STEEL, (AXES[0], 0, 0))
-    idler = gear_shaft(43.0).rotate([0, 0, 180.0 / TEETH])
+    idler = gear_shaft(56.0).rotate([0, 0, 180.0 / TEETH])
     drawing.add("idler-gear", idler, STEEL, (AXES[1], 0, 0))
     drawing.add("cover", cover, ALUMINIUM)
     for number, (x, y) in enumerate(SCREWS, 1):
