@@ -11,14 +11,18 @@ import pytest
 from click.testing import CliRunner
 
 from takeapart.cli.commands import main
-from takeapart.formats.files import data_path, load_assembly
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.generate.products import PRODUCTS
 from takeapart.model.assembly import Part
 from takeapart.model.meshes import Mesh
+from takeapart.model.plan import Plan
+from takeapart.planning import PlanningOptions, plan
 from takeapart.stability.contacts import ContactStability
+from takeapart.verification import verify_plan
 
 NAMES = sorted(PRODUCTS)
 SHIPPED = data_path("products")
+QUICK_FIRST = ["pump", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != "pump")]
 DEEPEST = 5e-5  # m that parts of a shipped product may overlap
 
 
@@ -61,9 +65,21 @@ def test_parts_are_closed_and_do_not_overlap(name: str) -> None:
                 assert deep < DEEPEST, (assembly.parts[a].name, assembly.parts[b].name)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", QUICK_FIRST)
 def test_every_product_stands_as_drawn(name: str) -> None:
     assert ContactStability(load_assembly(SHIPPED / name / "assembly.json")).floating() == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pump"])
+def test_a_plan_of_it_holds(name: str) -> None:
+    assembly = load_assembly(SHIPPED / name / "assembly.json")
+    workcell = load_workcell(str(assembly.provenance["workcell"]))
+    made = plan(assembly, workcell, PlanningOptions(search="exact"))
+    assert isinstance(made, Plan), str(made)
+    assert len(made.steps) == sum(not part.fixed for part in assembly.parts)
+    report = verify_plan(made, assembly, workcell)
+    assert report.passed, report.findings
 
 
 def test_an_unknown_product_is_named_with_those_that_there_are(tmp_path: Path) -> None:
