@@ -23,11 +23,11 @@ ROD = (-81.0, -DEEP / 2 - 12.0)  # x and y, mm
 
 
 def drawer() -> Solid:
-    """An open box with a front plate, a knob, and an eye for the locking rod; its front plate's back is at y = 0."""
+    """A closed cassette with a front plate, a handle and an eye for the rod; y = 0 is behind its front plate."""
     x, y, z = DRAWER
-    body = block((-x / 2, 0, 0), (x / 2, y, z)) - block((-x / 2 + 3, 3, 3), (x / 2 - 3, y - 3, z + 1))
-    body += block((-92, -5, 0), (80, 0, z))
-    body += block((-20, -56, 12), (20, -42, 28)) + block((-5, -43, 14), (5, -4, 26))
+    body = block((-x / 2, 0, 0), (x / 2, y, z)) + block((-92, -5, 0), (80, 0, z))
+    body += block((-30, -64, 8), (30, -42, 30))
+    body += block((-28, -43, 14), (-18, -4, 26)) + block((18, -43, 14), (28, -4, 26))
     eye = block((ROD[0] - 9, ROD[1] + DEEP / 2 - 9, 10), (ROD[0] + 9, -4, 22))
     return body + eye - cylinder(5.2, 9, 23, (ROD[0], ROD[1] + DEEP / 2), 24)
 

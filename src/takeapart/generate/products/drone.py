@@ -44,7 +44,7 @@ def propeller() -> Solid:
 
 def drone() -> Assembly:
     """The product."""
-    drawing = Drawing("drone", "quadcopter on its building stand", (0.16, 0.20, 0.0))
+    drawing = Drawing("drone", "quadcopter on its building stand", (0.06, 0.20, 0.0))
     drawing.add("stand", stand(), PLASTIC, fixed=True)
     bottom = rounded_block((-38, -38, STAND), (38, 38, BOTTOM), 10)
     top = rounded_block((-38, -38, TOP), (38, 38, UPPER), 10)
