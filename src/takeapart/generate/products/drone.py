@@ -8,12 +8,12 @@ from takeapart.generate.products.drawing import ALUMINIUM, CARBON, PLASTIC, STEE
 from takeapart.generate.products.solids import Solid, block, cylinder, hexagon_screw, rounded_block
 from takeapart.model.assembly import Assembly
 
-ARMS = (45.0, 135.0, 225.0, 315.0)  # degrees
+ARMS = (0.0, 90.0, 180.0, 270.0)  # degrees
 START, MOTOR, END = 20.0, 118.0, 134.0  # mm from the axis, along an arm
 WIDE, HIGH, SLOT = 16.0, 14.0, 5.0  # mm, profile
 STAND, BOTTOM, TOP = 40.0, 46.0, 60.0  # mm, heights: under the bottom plate, under and on the arms
 UPPER = 66.0  # mm, height of the top plate's upper side
-SCREWS = ((29.0, 0.0), (0.0, 29.0), (-29.0, 0.0), (0.0, -29.0))  # mm
+SCREWS = ((24.0, 24.0), (-24.0, 24.0), (-24.0, -24.0), (24.0, -24.0))  # mm
 
 
 def arm() -> Solid:
@@ -44,7 +44,7 @@ def propeller() -> Solid:
 
 def drone() -> Assembly:
     """The product."""
-    drawing = Drawing("drone", "quadcopter on its building stand", (0.06, 0.20, 0.0))
+    drawing = Drawing("drone", "quadcopter on its building stand", (0.06, 0.20, 0.0), turn=45.0)
     drawing.add("stand", stand(), PLASTIC, fixed=True)
     bottom = rounded_block((-38, -38, STAND), (38, 38, BOTTOM), 10)
     top = rounded_block((-38, -38, TOP), (38, 38, UPPER), 10)
