@@ -104,16 +104,39 @@ def about_the_same(results: list[SearchResult], noise: float) -> bool:
     return len({tuple(order(result)) for result in results}) == 1 and max(abs(v / middle - 1) for v in lengths) <= noise
 
 
+def assert_same(first: Assembly, other: Assembly) -> None:
+    for part, copy in zip(first.parts, other.parts, strict=True):
+        assert part.shape.hash == copy.shape.hash  # type: ignore[attr-defined]
+        assert np.array_equal(part.T_world_part, copy.T_world_part)
+        assert part.mass == pytest.approx(copy.mass, rel=1e-9)
+
+
 def test_copies_in_other_units_are_the_same_product(tmp_path: Path) -> None:
-    """The same shapes, masses and places to a nanometre: plans follow from them."""
+    """The same shapes, masses and places: plans follow from them."""
     name = "furniture_drawer"
     first = import_product(folder(name), "m").assembly
     for unit, scale in SCALES.items():
-        copy = import_product(drawn(name, tmp_path / unit, functools.partial(scaled, scale)), unit).assembly
-        for part, other in zip(first.parts, copy.parts, strict=True):
-            assert part.shape.hash == other.shape.hash  # type: ignore[attr-defined]
-            assert np.allclose(part.T_world_part, other.T_world_part, rtol=0, atol=1e-9)
-            assert part.mass == pytest.approx(other.mass, rel=1e-9)
+        copy = drawn(name, tmp_path / unit, functools.partial(scaled, scale))
+        assert_same(first, import_product(copy, unit).assembly)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_numbers_to_a_nanometre_are_read_alike_in_every_unit(tmp_path: Path, seed: int) -> None:
+    """As programs write them, six digits after the point in mm: the middle of every other body lies between two of
+    them."""
+    body = trimesh.creation.icosphere(2, 20.0)
+    noise = np.random.default_rng(seed).uniform(-1, 1, body.vertices.shape)
+    body.vertices = np.round(body.vertices + noise, 6)
+    products = []
+    for unit, scale in SCALES.items():
+        (tmp_path / unit).mkdir()
+        for k in range(2):
+            copy = trimesh.Trimesh((body.vertices + [0.0, 0.0, 50.0 * k]) * (scale / 1e3), body.faces, process=False)
+            copy.export(tmp_path / unit / f"body{k}.obj", digits=12)
+        products.append(import_product(tmp_path / unit, unit).assembly)
+    for other in products[1:]:
+        assert_same(products[0], other)
+    assert products[0].parts[0].shape is products[0].parts[1].shape, "a shape that is there twice"
 
 
 @pytest.mark.slow
