@@ -23,13 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from takeapart.collision.contact import OVERLAP_LIMIT, Contacts, PairFinding
+from drawn_products import Trial, imported, too_deep, trials
+from speed import random_edges
 from takeapart.collision.fields import mesh_field
 from takeapart.experiments.tables import markdown_table, replace_between_markers
 from takeapart.formats.documents import readable_json, write_atomically
 from takeapart.formats.files import load_assembly, load_plan, load_workcell, save_assembly, save_plan
-from takeapart.formats.importing import import_product
-from takeapart.model.assembly import CONTACT_GAP, Assembly
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, pose, pose_inverse
 from takeapart.model.plan import Plan, PlanStep
@@ -37,64 +36,17 @@ from takeapart.planning import PlanningOptions, build_problem, plan_of, search
 from takeapart.problem import AssemblyProblem
 from takeapart.removal.exits import Exit
 from takeapart.removal.following import end_of
+from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
 from takeapart.search.result import Budget
 from takeapart.verification import verify_plan
 
 MARKER = "cases"
+COLD_QUERIES = 30
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
 SAME_PLACE = 1e-5  # m and unit vectors; the end of an exit is one of the rows of a path
-MESHES, SCENES = (".obj", ".stl", ".ply"), (".step", ".stp", ".glb")
 MOST_PAIRS = 4  # that overlap too deep, and are shown
 LINE = 300  # letters of a refusal that are shown
-
-
-@dataclass(frozen=True)
-class Trial:
-    """How a product is imported and where it is planned.
-
-    Args:
-        case: name of the folder.
-        why: of these options; empty where they are the defaults.
-        note: what the name of the row adds to that of the case.
-        workcell: name of a shipped one.
-        fix: names or patterns of fixed parts.
-        contact_gap: m.
-        allow_overlaps: whether all that overlaps too deep as drawn is taken as meant.
-    """
-
-    case: str
-    why: str = ""
-    note: str = ""
-    workcell: str = "panda"
-    fix: tuple[str, ...] = ()
-    contact_gap: float = CONTACT_GAP
-    allow_overlaps: bool = False
-
-    @property
-    def name(self) -> str:
-        """Of the row, and of what is kept."""
-        return f"{self.case}-{self.note}" if self.note else self.case
-
-    @property
-    def told(self) -> str:
-        """The options as they are typed."""
-        words = [f"--fix '{pattern}'" for pattern in self.fix]
-        words += [f"--contact-gap {1e3 * self.contact_gap:g}mm"] if self.contact_gap != CONTACT_GAP else []
-        words += ["--allow-overlap for each such pair"] if self.allow_overlaps else []
-        words += [f"--workcell {self.workcell}"] if self.workcell != "panda" else []
-        return ", ".join(words)
-
-
-TRIALS = (
-    Trial("choreo_bricks", "its bricks stand around the origin, where `panda` has its arm", "", "panda-table"),
-    Trial("fabrica_duct", "its clips stand 1 mm off what holds them", contact_gap=2e-3),
-    Trial("factory_pegs", "pegs leave plates that stay", fix=("hole_*",)),
-    Trial("furniture_drawer", "the overlaps that are refused as drawn", "allowed", allow_overlaps=True),
-    Trial("furniture_square_table", "its threads overlap by the depth of a thread", "allowed", allow_overlaps=True),
-    Trial("o2ac_wrs_assembly_2020", "its base is 2.0 mm off the panels, its cap 1.0 mm in the shaft", "allowed",
-          contact_gap=2.1e-3, allow_overlaps=True),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -112,7 +64,8 @@ class Row:
         queries: removal queries.
         fields, exits_time, search_time: processor time, s: fields of all shapes, built anew; contacts, exits, statics
             and arm; the search.
-        cold, median: processor time of a query, ms: median of the first one for every part, of all.
+        cold, median: processor time of a query, ms, medians: at random edges with nothing known but shapes, fields and
+            exits, and of those that the search asked.
         clearance: smallest that the verification saw, m.
         findings: of the verification; None where nothing was verified.
         first_finding: the first of them in words.
@@ -140,67 +93,35 @@ class Row:
     unjudged: tuple[str, ...] = ()
 
 
-def trials(cases: Path, only: Sequence[str] = ()) -> list[Trial]:
-    """All products of a folder with their options, or some by the name of case or row."""
-    known = {trial.case: trial for trial in TRIALS if not trial.note}
-    found = []
-    for folder in sorted(cases.iterdir()):
-        if folder.is_dir() and any(file.suffix.lower() in MESHES + SCENES for file in folder.iterdir()):
-            found.append(known.get(folder.name, Trial(folder.name)))
-            found += [trial for trial in TRIALS if trial.case == folder.name and trial.note]
-        elif (folder / "assembly.json").is_file():
-            found.append(known.get(folder.name, Trial(folder.name)))
-    return [trial for trial in found if not only or trial.name in only or trial.case in only]
-
-
-def imported(trial: Trial, cases: Path, unit: str) -> Assembly:
-    """The product of a trial as an assembly.
-
-    Raises:
-        InputError: the folder holds nothing that can be read.
-    """
-    folder = cases / trial.case
-    if (folder / "assembly.json").is_file():
-        return load_assembly(folder / "assembly.json")
-    scenes = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in SCENES]
-    source, measure = (scenes[0], None) if scenes else (folder, unit)
-    assembly = import_product(source, measure, trial.fix, contact_gap=trial.contact_gap).assembly
-    if trial.allow_overlaps:
-        names = [part.name for part in assembly.parts]
-        deep = [each for each in Contacts(assembly).findings if each.depth > OVERLAP_LIMIT]
-        assembly = replace(assembly, allowed_overlaps=tuple((names[each.first], names[each.second]) for each in deep))
-    return replace(assembly, name=trial.name)
-
-
-def too_deep(assembly: Assembly) -> list[PairFinding]:
-    """Pairs that a planner refuses unless they are meant, the deepest first."""
-    deep = [each for each in Contacts(assembly).findings if each.depth > OVERLAP_LIMIT]
-    return sorted(deep, key=lambda each: -each.depth)
-
-
 class TimedQueries:
-    """Processor time of every removal query of a problem, s, by part."""
+    """Processor time of every removal query of a problem, s."""
 
     def __init__(self, problem: AssemblyProblem) -> None:
-        self.times: list[tuple[int, float]] = []
+        self.times: list[float] = []
         plan = problem.planner.plan
 
         def timed(part: int, *arguments: object, **named: object) -> Removal | Blocked:
             started = time.thread_time()
             found: Removal | Blocked = plan(part, *arguments, **named)  # type: ignore[arg-type]
-            self.times.append((part, time.thread_time() - started))
+            self.times.append(time.thread_time() - started)
             return found
 
         problem.planner.plan = timed  # type: ignore[method-assign]
 
-    def cold(self) -> float | None:
-        """Median over the parts of the first query of each, ms."""
-        first = dict(reversed(self.times))
-        return 1e3 * statistics.median(first.values()) if first else None
-
     def median(self) -> float | None:
         """Median of all queries, ms."""
-        return 1e3 * statistics.median(spent for _, spent in self.times) if self.times else None
+        return 1e3 * statistics.median(self.times) if self.times else None
+
+
+def cold_query(problem: AssemblyProblem) -> float:
+    """Median processor time, ms, of queries at random edges, each with grasps and ways of the arm forgotten."""
+    rng, times = np.random.default_rng(0), []
+    for state, part in random_edges(problem, COLD_QUERIES, rng):
+        problem.planner.forget_grasps()
+        started = time.thread_time()
+        RemovalPlanner.plan(problem.planner, part, state, rng=rng)  # not the timed one
+        times.append(time.thread_time() - started)
+    return 1e3 * statistics.median(times)
 
 
 def row_of(trial: Trial, cases: Path, folder: Path, unit: str, budget: Budget) -> Row:
@@ -234,7 +155,7 @@ def row_of(trial: Trial, cases: Path, folder: Path, unit: str, budget: Budget) -
     queries, start = TimedQueries(problem), time.process_time()
     result = search(problem, options)
     row = replace(row, search_time=time.process_time() - start, queries=problem.counts.removal_queries)
-    row = replace(row, cold=queries.cold(), median=queries.median())
+    row = replace(row, median=queries.median())
     made = plan_of(problem, result, options, row.search_time)
     if not isinstance(made, Plan):
         return replace(row, refusal=_line(str(made)), proved=made.proved)
@@ -242,6 +163,7 @@ def row_of(trial: Trial, cases: Path, folder: Path, unit: str, budget: Budget) -
     save_plan(made, file)
     report = verify_plan(load_plan(file), assembly, workcell)
     nearest = report.smallest_clearance
+    row = replace(row, cold=cold_query(problem))
     return replace(
         row,
         length=report.agreement.total_length_recomputed,
@@ -302,8 +224,9 @@ def keep(row: Row, folder: Path) -> None:
 
 def in_own_process(trial: Trial, arguments: argparse.Namespace) -> None:
     """Works out a row in another process, and keeps that it was stopped where it takes too long or breaks."""
-    command = [sys.executable, __file__, "--cases", str(arguments.cases), "--out", str(arguments.out), "--unit",
-               arguments.unit, "--child", trial.name, *(["--quick"] if arguments.quick else [])]  # fmt: skip
+    command = [sys.executable, __file__, "--child", trial.name, *(["--quick"] if arguments.quick else [])]
+    for name in ("cases", "out", "unit", "workcell"):
+        command += [f"--{name}", str(getattr(arguments, name))]
     told = ""
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=arguments.limit)
@@ -317,7 +240,7 @@ def in_own_process(trial: Trial, arguments: argparse.Namespace) -> None:
 
 def table(rows: Sequence[Row], tried: Sequence[Trial]) -> str:
     """The products that have a plan, those that have none, and what the words need."""
-    heads = ["product", "parts", "length, m", "ways out", "queries", "a query, ms: first, median"]
+    heads = ["product", "parts", "length, m", "ways out", "queries", "a query, ms: cold, in the search"]
     heads += ["fields, s", "contacts, exits, s", "search, s", "smallest clearance, mm", "verified"]
     planned = [
         [
@@ -341,7 +264,7 @@ def table(rows: Sequence[Row], tried: Sequence[Trial]) -> str:
         if row.length is None
     ]
     whys = [
-        f"- {trial.name}: {trial.told}; {trial.why}."
+        f"- {trial.name}: {trial.told}{'; ' if trial.why else ''}{trial.why}."
         for trial in tried
         if trial.told and any(row.name == trial.name for row in rows)
     ]
@@ -370,6 +293,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=Path, default=CASES, help="folder of product folders")
     parser.add_argument("--unit", default="m", help="of meshes, which do not say it")
+    parser.add_argument("--workcell", default="panda", help="name or file, for products without options of their own")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="these alone are worked out again")
     parser.add_argument("--limit", type=float, default=1800.0, metavar="SECONDS", help="of a product")
     parser.add_argument("--quick", action="store_true", help="a small budget of queries")
@@ -381,13 +305,13 @@ def main() -> None:
         print(f"no products at {arguments.cases}; --cases says where they are")
         return
     arguments.out.mkdir(parents=True, exist_ok=True)
-    tried = trials(arguments.cases)
+    tried = trials(arguments.cases, workcell=arguments.workcell)
     if arguments.child:
         (trial,) = (trial for trial in tried if trial.name == arguments.child)
         budget = Budget(queries=30) if arguments.quick else Budget()
         keep(row_of(trial, arguments.cases, arguments.out, arguments.unit, budget), arguments.out)
         return
-    for trial in trials(arguments.cases, arguments.only):
+    for trial in trials(arguments.cases, arguments.only, arguments.workcell):
         in_own_process(trial, arguments)
         print(kept_row(trial, arguments.out), flush=True)
     rows = [row for trial in tried if (row := kept_row(trial, arguments.out)) is not None]

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 import cases_table
-from cases_table import Row, Trial, keep, kept_row, table, trials
+from cases_table import Row, keep, kept_row, table
+from drawn_products import Trial, trials
 from mesh_cases import CASES
 
 
@@ -49,7 +50,8 @@ def test_products_are_the_folders_with_something_drawn_in_them(tmp_path: Path) -
 def test_what_breaks_or_takes_too_long_is_a_row(tmp_path: Path) -> None:
     (tmp_path / "cases" / "broken").mkdir(parents=True)
     (tmp_path / "cases" / "broken" / "part.obj").write_text("f 1 2 3\n")
-    arguments = argparse.Namespace(cases=tmp_path / "cases", out=tmp_path, unit="m", quick=True, limit=0.01)
+    folders = {"cases": tmp_path / "cases", "out": tmp_path}
+    arguments = argparse.Namespace(**folders, unit="m", workcell="panda", quick=True, limit=0.01)
     cases_table.in_own_process(Trial("broken"), arguments)
     row = kept_row(Trial("broken"), tmp_path)
     assert row is not None and row.refusal == "stopped after 0.01 s of wall time"
