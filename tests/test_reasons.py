@@ -16,6 +16,7 @@ from takeapart.formats.files import data_path, load_assembly
 from takeapart.model.assembly import Assembly, Connector, Part, members
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, OrientedBox, pose
+from takeapart.model.meshes import Mesh
 from takeapart.model.plan import Plan
 from takeapart.planning import Hindrance, Infeasible, PlanningOptions, build_problem, explain, plan_of, search
 from takeapart.problem import AssemblyProblem
@@ -98,6 +99,20 @@ def test_what_lies_on_a_part_is_hit_at_once(robot: RobotModel, workcell: Workcel
     lid = block("lid", [0.10, 0.15, 0.17], (0.02, 0.02, 0.02), fixed=False)
     reason = asked(planner_of(robot, workcell, FREE_BAR, lid))
     assert reason.text == "only straight up is tried: lifted by 50 mm it hits lid at once"
+
+
+def test_overlaps_that_are_meant_are_meant_when_reasons_are_asked(robot: RobotModel, workcell: Workcell) -> None:
+    """A body of triangles, sunk by 2 mm into a base that cuts into another fixed one."""
+    sunk = Part("sunk", Mesh(Box((0.02, 0.02, 0.022)).surface()), pose([0.1, 0.2, 0.009]), 0.1)
+    base, pillar = (
+        block("base", [0.1, 0.2, -0.01], (0.1, 0.1, 0.02)),
+        block("pillar", [0.13, 0.2, 0], (0.02, 0.1, 0.04)),
+    )
+    fixed = [replace(each, shape=Mesh(each.shape.surface())) for each in (base, pillar)]
+    assembly = Assembly("sunk", (sunk, *fixed), allowed_overlaps=(("base", "sunk"),))
+    planner = RemovalPlanner(assembly, replace(workcell, environment=()), robot=robot, is_placed=True)
+    assert planner.freedom(0) == (0,)
+    assert Reasons(planner).named.exits.exits(0)[0].blockers == 0
 
 
 def test_boxes_meet_where_one_begins_to_cut_into_the_other() -> None:

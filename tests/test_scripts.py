@@ -24,6 +24,7 @@ SMALL: dict[str, tuple[str, str]] = {
     "animation": ("--frames 2", "benchmarks.md --document"),
     "arm_speed": ("--workcells panda ur5e --assemblies 1 --queries 2", ""),
     "brick_verdicts": ("--models external_weight_good", "benchmarks.md --document"),
+    "cases_table": ("--cases {drawn} --unit mm --quick --out {folder}/cases", "products.md --document"),
     "clearance_cost": ("--assemblies single/01 --processes 1", "verification.md --document"),
     "closing": ("--count 1", "benchmarks.md --document"),
     "contact_fields": ("", ""),
@@ -78,6 +79,19 @@ def vanilla(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def drawn(tmp_path: Path) -> Path:
+    """A folder with one product: a block on a plate, drawn in mm, before the arm of the workcell."""
+    trimesh = pytest.importorskip("trimesh")
+    folder = tmp_path / "drawn" / "block"
+    folder.mkdir(parents=True)
+    for name, size, height in (("plate", (120, 120, 20), 10), ("block", (40, 60, 40), 40)):
+        body = trimesh.creation.box(size)
+        body.apply_translation((100, 200, height))
+        body.export(folder / f"{name}.obj")
+    return folder.parent
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SMALL))
 def test_script_runs_in_small(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
@@ -88,7 +102,10 @@ def test_script_runs_in_small(name: str, tmp_path: Path, request: pytest.Fixture
         pytest.skip(f"the models of bricks are not at {brick_verdicts.CASES}")
     if name in ("verify_all", "clearance_cost"):
         pytest.importorskip("mujoco", reason="verification needs MuJoCo")
-    places = {"folder": str(tmp_path), "vanilla": ""}
+    places = {"folder": str(tmp_path), "vanilla": "", "drawn": ""}
+    if "{drawn}" in options:
+        pytest.importorskip("manifold3d", reason="judging meshes needs the extra takeapart[verify]")
+        places["drawn"] = str(request.getfixturevalue("drawn"))
     if "{vanilla}" in options:
         places["vanilla"] = str(request.getfixturevalue("vanilla"))
     file = scripts()[name]

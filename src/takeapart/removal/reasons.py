@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -122,7 +123,15 @@ class Reasons:
             shape = Box((2 * obstacle.box.half_extents).tolist())
             # A space, which no part's name has: it hosts no connector, whatever it is called.
             parts.append(Part(f"obstacle {obstacle.name}", shape, obstacle.box.T_frame_box, 1.0))
-        bodies = _Bodies(self._assembly.name, tuple(parts), self._assembly.connectors)
+        permanent = [body.name for i, body in enumerate(parts) if self._permanent >> i & 1]
+        bodies = _Bodies(
+            self._assembly.name,
+            tuple(parts),
+            self._assembly.connectors,
+            joints=self._assembly.joints,
+            contact_gap=self._assembly.contact_gap,
+            allowed_overlaps=(*self._assembly.allowed_overlaps, *combinations(permanent, 2)),
+        )
         workcell = replace(self._workcell, environment=())
         return RemovalPlanner(bodies, workcell, self._planner.options, self._planner.robot, is_placed=True)
 

@@ -13,7 +13,7 @@ import numpy as np
 from takeapart.formats.importing.drawn import DrawnBody, valid_names
 from takeapart.formats.importing.pairs import DrawnPair, DrawnPairs
 from takeapart.formats.importing.reading import drawn_bodies
-from takeapart.formats.importing.surfaces import Surface, split_map, surface_of
+from takeapart.formats.importing.surfaces import GRID, Surface, split_map, surface_of
 from takeapart.formats.messages import shortened, shown
 from takeapart.model.assembly import CONTACT_GAP, Assembly, Part
 from takeapart.model.errors import InputError
@@ -113,7 +113,7 @@ def import_product(
     assembly = Assembly(
         name=valid_names([file.resolve().stem])[0],
         parts=tuple(
-            Part(name, surface.mesh, T, mass, i in fixed)
+            Part(name, surface.mesh, _to_a_nanometre(T), mass, i in fixed)
             for i, (name, surface, T, mass) in enumerate(zip(names, surfaces, placed, masses, strict=True))
         ),
         provenance={
@@ -179,6 +179,13 @@ def _drawn_size(bodies: Sequence[DrawnBody], metres: float) -> float:
         if len(used):
             low, high = np.minimum(low, used.min(axis=0)), np.maximum(high, used.max(axis=0))
     return metres * float((high - low).max())
+
+
+def _to_a_nanometre(T: Array) -> Array:
+    """As shapes are: what is drawn in other units is then the same product, not nearly the same."""
+    rounded = T.copy()
+    rounded[:3, 3] = np.round(T[:3, 3], GRID)
+    return rounded
 
 
 def _lifted(T: Array, height: float) -> Array:

@@ -59,7 +59,7 @@ def surface_of(vertices: Array, triangles: NDArray[np.int64], where: str, simpli
     remarks: list[str] = []
     if simplify:
         vertices, triangles = _simplified(vertices, triangles, simplify, remarks)
-    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    middle = _on_grid((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     local = np.round(vertices - middle, GRID) + 0.0
     try:
         mesh = Mesh(TriangleMesh(local, triangles.astype(np.int32)))
@@ -92,6 +92,12 @@ def _simplified(
         remarks.append(f"simplified from {len(triangles)} to {len(found.tri_verts)} faces, within {1e3 * within:g} mm")
         return np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts).astype(np.int64)
     return vertices, triangles
+
+
+def _on_grid(point: Array) -> Array:
+    """A point (3,) m of the grid. The middle of what is drawn to a nanometre is often half way between two of them:
+    these go one way, whatever rounding has left of the half."""
+    return np.asarray(np.floor(point * 10**GRID + 0.75) / 10**GRID)
 
 
 def _joined(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
