@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from small_assemblies import two_bars
 from synthetic import SyntheticProblem, members, problem_that_may_fall, problem_with_many_ways, random_problem
+from takeapart.formats.files import load_plan, save_plan
+from takeapart.planning import Infeasible, PlanningOptions, plan
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.deepest import deepen, deepest_of
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.registry import SEARCHES
 from takeapart.search.result import Budget, Deepest, SearchResult
+from takeapart.verification import verify_plan
+from verification_scene import scene_workcell
 
 
 def masked(problem: SyntheticProblem) -> SyntheticProblem:
@@ -124,3 +131,28 @@ def test_parts_that_never_leave_stay_together() -> None:
     assert len(stuck) == 1  # of what is monotone there is one dead end
     deepest = found(problem, "exact")
     assert {removal.part for removal in deepest.removals} == set(members(problem.root & ~stuck.pop()))
+
+
+def test_a_partial_plan_is_judged_as_one(tmp_path: Path) -> None:
+    product, cell = two_bars(), scene_workcell()
+    heavy = replace(product, parts=tuple(replace(p, mass=50.0) if p.name == "beam" else p for p in product.parts))
+    made = plan(heavy, cell, PlanningOptions(search="greedy"))
+    assert isinstance(made, Infeasible)
+    assert made.proved
+    assert made.remaining == ("beam",)
+    assert made.partial is not None
+    assert [step.part for step in made.partial.steps] == ["stub"]
+    file = tmp_path / "partial.json"
+    save_plan(made.partial, file)
+    read = load_plan(file)
+    assert read.remaining == ("beam",)
+    assert read.inverted().remaining == ("beam",)
+    report = verify_plan(read, heavy, cell, physics=False)
+    assert report.passed, report.findings
+    assert (report.remaining, report.removable) == (("beam",), 2)
+    silent = verify_plan(replace(read, remaining=()), heavy, cell, physics=False)
+    assert any(finding.message == "never removed: beam" for finding in silent.findings)
+    false = verify_plan(replace(read, remaining=("beam", "stub")), heavy, cell, physics=False)
+    assert any(finding.message == "said to remain, but removed: stub" for finding in false.findings)
+    strange = verify_plan(replace(read, remaining=("beam", "ghost")), heavy, cell, physics=False)
+    assert any("no removable part: ghost" in finding.message for finding in strange.findings)
