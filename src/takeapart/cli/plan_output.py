@@ -46,7 +46,8 @@ def save_or_explain(
             print_plan(made.partial)
             click.echo(f"written to           {written}")
         if interrupted:
-            note(f"interrupted before any plan was found; {_partial_text(made, written)}")
+            kept = "nothing was written" if written is None else _partial_text(made, written)
+            note(f"interrupted before any plan was found; {kept}")
         else:
             note(f"{made}; {_partial_text(made, written)}")
         raise click.exceptions.Exit(EXIT_INTERRUPTED if interrupted else EXIT_INFEASIBLE)
