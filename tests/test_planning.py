@@ -157,7 +157,10 @@ def test_a_budget_that_ran_out_proves_nothing() -> None:
     made = plan(three_bars(), scene_workcell(), replace(OPTIONS, search="random", budget=Budget(queries=1)))
     assert isinstance(made, Infeasible)
     assert not made.proved
-    assert str(made) == "no feasible order found within the budget"
+    assert str(made).startswith("no feasible order found within the budget; with 2 parts left: beam: ")
+    assert str(made).endswith("; not asked within the budget: rear; there may be an order")
+    assert made.deepest is not None
+    assert not made.deepest.is_deepest
 
 
 def test_explain_names_what_hinders_each_part() -> None:

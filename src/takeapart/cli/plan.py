@@ -143,6 +143,12 @@ GUIDED, RECORDED = searches_that_take("guide"), searches_that_take("observe")
     help="Watch the search in the browser: length and bound against time, and the best plan so far. Needs the extra "
     "view.",
 )
+@click.option(
+    "--partial",
+    is_flag=True,
+    help="Where no order is feasible, write the plan that takes out as many parts as can leave; it names those that "
+    "remain. The exit code is 3 all the same.",
+)
 @json_option
 def plan(
     assembly: Path,
@@ -163,13 +169,16 @@ def plan(
     guide: Path | None,
     experience: Path | None,
     watch: bool,
+    partial: bool,
     as_json: bool,
 ) -> None:
     """Plan in which order, by which grasps and along which paths the robot takes ASSEMBLY apart.
 
     Writes a plan file and prints the order with the length of the gripper's path for each part. Ctrl-C ends the search
     and keeps the best plan so far. Where no order is feasible, the parts that are stuck are named, with the reason and
-    the stage at which planning their removal ended (exit code 3); nothing is written then.
+    the stage at which planning their removal ended (exit code 3), and how many parts can leave before; nothing is
+    written then but by --partial. "No feasible order" is proved for the removals that the planner finds; "no feasible
+    order found within the budget" says that a larger budget may find one.
     """
     from takeapart.formats.files import load_assembly, load_workcell
     from takeapart.formats.sources import with_sources
@@ -194,9 +203,12 @@ def plan(
     advice = loaded_guide(guide, product)
     with recorder(experience, product, options) as record, live_view(product, cell) if watch else nullcontext() as live:
         made, interrupted = make_plan(product, cell, options, run, advice, record, live)
-        if isinstance(made, Plan):
-            made = with_sources(made, out, assembly, workcell)
-        saved = save_or_explain(made, interrupted, out, as_json)
+
+        def sourced(plan: Plan) -> Plan:
+            return with_sources(plan, out, assembly, workcell)
+
+        made = sourced(made) if isinstance(made, Plan) else made
+        saved = save_or_explain(made, interrupted, out, as_json, partial, sourced)
         if as_json:
             print_json({"feasible": True, "file": str(out), "interrupted": interrupted, **plan_summary(saved)})
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,15 +19,37 @@ if TYPE_CHECKING:
 NOT_VERIFIED = f"all numbers are {STATED}; takeapart verify checks what it can and lists the rest"
 
 
-def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_json: bool) -> Plan:
-    """Writes a plan, or says why there is none and ends the command."""
+def save_or_explain(
+    made: Plan | Infeasible,
+    interrupted: bool,
+    out: Path,
+    as_json: bool,
+    partial: bool = False,
+    sources: Callable[[Plan], Plan] = lambda plan: plan,
+) -> Plan:
+    """Writes a plan, or says why there is none and ends the command.
+
+    Args:
+        partial: where there is none, the plan that takes out what it can is written.
+        sources: gives a partial plan the names of the files it was made from.
+    """
     from takeapart.formats.files import save_plan
     from takeapart.model.plan import Plan
 
     if not isinstance(made, Plan):
+        written = out if partial and made.partial is not None else None
+        if written is not None and made.partial is not None:
+            save_plan(sources(made.partial), written)
         if as_json:
-            print_json(_infeasible_document(made, interrupted))
-        note("interrupted before any plan was found; nothing was written" if interrupted else str(made))
+            print_json(_infeasible_document(made, interrupted, written))
+        elif written is not None and made.partial is not None:
+            print_plan(made.partial)
+            click.echo(f"written to           {written}")
+        if interrupted:
+            kept = "nothing was written" if written is None else _partial_text(made, written)
+            note(f"interrupted before any plan was found; {kept}")
+        else:
+            note(f"{made}; {_partial_text(made, written)}")
         raise click.exceptions.Exit(EXIT_INTERRUPTED if interrupted else EXIT_INFEASIBLE)
     save_plan(made, out)
     if interrupted:
@@ -34,13 +57,40 @@ def save_or_explain(made: Plan | Infeasible, interrupted: bool, out: Path, as_js
     return made
 
 
-def _infeasible_document(made: Infeasible, interrupted: bool) -> dict[str, object]:
+def _partial_text(made: Infeasible, written: Path | None) -> str:
+    """What was written, or how it is got."""
+    if made.deepest is None or made.partial is None:
+        stuck = made.deepest is not None and made.deepest.is_deepest
+        return "nothing was written" + ("; no part can leave" if stuck else "")
+    out = len(made.partial.steps)
+    known = "" if made.deepest.is_deepest else ", perhaps more,"
+    parts = f"{out} of {out + len(made.remaining)} parts{known}"
+    if written is not None:
+        return f"a partial plan that takes out {parts} was written to {written}"
+    return f"nothing was written; {parts} can leave before that: --partial writes this plan"
+
+
+def _deepest_document(made: Infeasible, written: Path | None) -> dict[str, object] | None:
+    if made.deepest is None:
+        return None
+    summary = plan_summary(made.partial) if made.partial is not None else {"order": [], "total_length": 0.0}
+    return {
+        "file": None if written is None else str(written),
+        "order": summary["order"],
+        "total_length": summary["total_length"],
+        "deepest_proved": made.deepest.is_deepest,
+        "shortest_proved": made.deepest.is_shortest,
+    }
+
+
+def _infeasible_document(made: Infeasible, interrupted: bool, written: Path | None) -> dict[str, object]:
     return {
         "feasible": False,
         "interrupted": interrupted,
         "proved": made.proved,
         "remaining": list(made.remaining),
         "hindrances": [hindrance_document(hindrance) for hindrance in made.hindrances],
+        "partial": _deepest_document(made, written),
     }
 
 
@@ -64,6 +114,7 @@ def plan_summary(plan: Plan) -> dict[str, object]:
         "assembly": plan.assembly,
         "workcell": plan.workcell,
         "direction": plan.direction,
+        **({"remaining": list(plan.remaining)} if plan.remaining else {}),
         "order": [{"part": step.part, "length": step.length} for step in plan.steps],
         "total_length": plan.total_length,
         "straight_line_bound": plan.straight_line_bound,
@@ -97,6 +148,8 @@ def print_plan(plan: Plan, sizes: dict[str, str] | None = None, stated: bool = F
         for number, step in enumerate(plan.steps, 1)
     ]
     print_table(f"{plan.direction} of {plan.assembly} in workcell {plan.workcell}", columns, rows)
+    if plan.remaining:
+        click.echo(f"\nremaining            {', '.join(plan.remaining)} (a partial plan)")
     mark = ", stated" if stated else ""
     click.echo(f"\ntotal gripper path   {metres(plan.total_length)}{mark}")
     proved = _gap_text("proved gap", gap(plan.total_length, plan.straight_line_bound), STRAIGHT_LINE)

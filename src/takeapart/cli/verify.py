@@ -12,6 +12,7 @@ from takeapart.cli.output import (
     FILE,
     examples,
     json_option,
+    note,
     plan_assembly_option,
     plan_workcell_option,
     print_json,
@@ -79,7 +80,13 @@ def print_verdict(outcome: VerificationReport) -> None:
     from takeapart.verification import format_finding
 
     if outcome.passed:
-        click.echo(f"verified: {outcome.plan} holds, {outcome.steps} steps and {outcome.configurations} configurations")
+        taken = f"{outcome.removable - len(outcome.remaining)} of {outcome.removable} parts"
+        holds = f"holds, as a partial plan: {taken}" if outcome.remaining else "holds"
+        click.echo(
+            f"verified: {outcome.plan} {holds}, {outcome.steps} steps and {outcome.configurations} configurations"
+        )
+        if outcome.remaining:
+            click.echo(f"remaining            {', '.join(outcome.remaining)}")
         if outcome.smallest_clearance is not None:
             near = outcome.smallest_clearance
             click.echo(
@@ -112,7 +119,8 @@ def print_verdict(outcome: VerificationReport) -> None:
 def assemble(plan: Path, out: Path, as_json: bool) -> None:
     """Write the inverse of PLAN: the order of parts and every path reversed.
 
-    Of a plan for disassembly this is the plan for assembly, and the other way round.
+    Of a plan for disassembly this is the plan for assembly, and the other way round. Of a partial plan it is the plan
+    that adds its parts to what remains, which must have been put together before; that is said.
     """
     from takeapart.formats.files import load_plan, save_plan
     from takeapart.formats.sources import with_sources_moved
@@ -125,3 +133,5 @@ def assemble(plan: Path, out: Path, as_json: bool) -> None:
         return
     print_plan(inverted, stated=True)
     click.echo(f"written to           {out}")
+    if inverted.remaining and inverted.direction == "assembly":
+        note(f"it starts from a subassembly, which no plan builds: {', '.join(inverted.remaining)}")

@@ -131,6 +131,7 @@ def load_plan(path: PathLike) -> Plan:
         direction=model.direction,
         robot=model.robot or "",
         joints=tuple(model.joints or ()),
+        remaining=tuple(model.remaining),
         extra=dict(model.extra),
     )
 

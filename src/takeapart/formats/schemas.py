@@ -246,7 +246,8 @@ LinkName = Annotated[str, Field(min_length=1, max_length=256)]  # of a robot, li
 
 
 class PlanModel(_Model):
-    """Plan file. `extra` is written only where there is something in it; version 1 has neither robot nor joints."""
+    """Plan file. `remaining` and `extra` are written only where there is something in them; version 1 has neither robot
+    nor joints."""
 
     format: Literal["takeapart/plan"]
     version: Literal[1, 2]
@@ -265,7 +266,18 @@ class PlanModel(_Model):
     hashes: HashesModel
     versions: Annotated[dict[Text, Text], Field(max_length=100)]
     steps: Annotated[list[StepModel], Field(max_length=MAXIMUM_PARTS, fail_fast=True)]
+    remaining: Annotated[list[Name], Field(max_length=MAXIMUM_PARTS, fail_fast=True)] = []
     extra: Free = {}
+
+    @model_validator(mode="after")
+    def _remaining_stay(self) -> PlanModel:
+        moved = {step.part for step in self.steps}
+        for name in self.remaining:
+            if name in moved or self.remaining.count(name) > 1:
+                why = "is moved by a step" if name in moved else "stands twice"
+                text = f"remaining: {shortened(name)} {why}; it names, once each, the parts that stay"
+                raise PydanticCustomError("remaining", "{text}", {"text": text})
+        return self
 
     @model_validator(mode="after")
     def _joints_of_paths(self) -> PlanModel:

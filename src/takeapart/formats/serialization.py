@@ -101,7 +101,7 @@ def motion_hash(plan: Plan) -> str:
     """SHA-256 of what a plan has the arm do, whichever way round it is told: assembly, workcell and steps."""
     removals = plan if plan.direction == "disassembly" else plan.inverted()
     document = _plain(plan_document(removals))  # a plan with numbers missing is refused by the verification, not here
-    keys = ("assembly", "workcell", "joints", "hashes", "steps")
+    keys = ("assembly", "workcell", "joints", "hashes", "steps", "remaining")
     return _hash({key: document[key] for key in keys if key in document})
 
 
@@ -242,7 +242,8 @@ def plan_document(plan: Plan) -> Document:
             for step in plan.steps
         ],
     }
-    return {**document, "extra": _plain(plan.extra)} if plan.extra else document
+    more = {"remaining": list(plan.remaining), "extra": _plain(plan.extra)}
+    return {**document, **{key: value for key, value in more.items() if value}}
 
 
 def _arm_document(plan: Plan) -> Document:

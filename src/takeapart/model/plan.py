@@ -66,6 +66,8 @@ class Plan:
         robot: name of the arm with its gripper; empty in plans from files of version 1.
         joints: names of the arm's joints, one per column of a joint path; empty in plans from files of version 1, where
             they are those of the workcell's arm.
+        remaining: names of the removable parts that a partial plan leaves where they are; empty in a plan of the whole
+            product.
     """
 
     steps: tuple[PlanStep, ...]
@@ -83,6 +85,7 @@ class Plan:
     direction: str = "disassembly"
     robot: str = ""
     joints: tuple[str, ...] = ()
+    remaining: tuple[str, ...] = ()
     extra: dict[str, object] = field(default_factory=dict)
 
     def inverted(self) -> Plan:

@@ -22,8 +22,10 @@ from takeapart.removal.journal import QueryJournal
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.reasons import Reason
 from takeapart.removal.result import Blocked, Removal, Stage
+from takeapart.removal.wording import listed
+from takeapart.search.deepest import deepen
 from takeapart.search.registry import SEARCHES
-from takeapart.search.result import Budget, History, ProgressListener, SearchResult
+from takeapart.search.result import Budget, Deepest, History, ProgressListener, SearchResult
 from takeapart.search.session import SettledObserver, TransitionObserver
 from takeapart.stability import require_standing
 from takeapart.states import members
@@ -109,21 +111,29 @@ class Infeasible:
         remaining: names of the parts left.
         hindrances: per part.
         proved: whether every sequence was excluded for the removals the planner finds (else the budget ran out first).
+        deepest: the removals that lead there; None where none were asked for.
+        partial: the same as a plan, which ends with these parts left; None if no part leaves.
     """
 
     remaining: tuple[str, ...]
     hindrances: tuple[Hindrance, ...]
     proved: bool
+    deepest: Deepest | None = None
+    partial: Plan | None = None
 
     def __str__(self) -> str:
+        first = "no feasible order" if self.proved else "no feasible order found within the budget"
         if not self.hindrances:
-            return "no feasible order found within the budget"
-        first = "no feasible order" if self.proved else "no feasible order found"
+            return f"{first}{'' if self.proved else '; there may be one'}"
         told = sorted(self.hindrances, key=_is_consequence)
         more = f"; and {len(told) - TOLD} more" if len(told) > TOLD else ""
         reasons = "; ".join(str(hindrance) for hindrance in told[:TOLD])
         left = f"{len(self.remaining)} part{'s' if len(self.remaining) != 1 else ''} left"
-        return f"{first}; with {left}: {reasons}{more}"
+        named = {hindrance.part for hindrance in self.hindrances}
+        unasked = [name for name in self.remaining if name not in named]
+        more += f"; not asked within the budget: {listed(unasked, TOLD)}" if unasked else ""
+        maybe = "" if self.proved else "; there may be an order"
+        return f"{first}; with {left}: {reasons}{more}{maybe}"
 
 
 def _is_consequence(hindrance: Hindrance) -> bool:
@@ -251,10 +261,27 @@ def search(
     listen: ProgressListener | None = None,
     record: Recorder | None = None,
 ) -> SearchResult:
-    """Runs the search that the options name, and keeps how its length and bound came about."""
+    """Runs the search that the options name, and keeps how its length and bound came about.
+
+    Where it finds no order, what is left of its budget goes into how far the product comes apart.
+    """
     history = History(listen)
+    started = time.monotonic(), problem.counts.removal_queries
     result = _search(problem, options, guide, history, record)
-    return replace(result, history=tuple(history.rows))
+    result = replace(result, history=tuple(history.rows))
+    if result.removals or not problem.root:
+        return result
+    entry = SEARCHES[options.search]
+
+    def run(part_of_it: Problem, budget: Budget, advice: Guide | None) -> SearchResult:
+        rng = np.random.default_rng([options.seed, 2])
+        return entry.run(part_of_it, options.of_search(), budget, rng, guide=advice)
+
+    advice = of_candidates(guide, problem) if guide is not None else None
+    deepest = deepen(problem, result, options.budget, advice, run, entry.proves, started)
+    if not deepest.state:  # a budget ended the search before what it had learned was put together
+        return replace(result, removals=deepest.removals, length=deepest.length, refusals=(), infeasible=False)
+    return replace(result, deepest=deepest)
 
 
 def _search(
@@ -292,7 +319,15 @@ def plan_of(
     """The result of a search as a plan, or as the reason why there is none."""
     assembly, workcell = problem.assembly, problem.planner.workcell
     if not result.removals:
-        return infeasible_of(problem, result)
+        made = infeasible_of(problem, result)
+        if result.deepest is None or not result.deepest.removals:
+            return made
+        found = replace(result, removals=result.deepest.removals, length=result.deepest.length, deepest=None)
+        partial = plan_of(problem, found, options, seconds)
+        assert isinstance(partial, Plan)
+        proofs = {"partial_deepest": result.deepest.is_deepest, "partial_shortest": result.deepest.is_shortest}
+        told = partial.search | proofs
+        return replace(made, partial=replace(partial, search=told, sequence_bound=None, remaining=made.remaining))
     steps = tuple(_step(assembly, removal) for removal in result.removals)
     statistics = {name: _number(value) for name, value in sorted(result.statistics.items())}
     return Plan(
@@ -319,7 +354,12 @@ def plan_of(
 
 
 def infeasible_of(problem: AssemblyProblem, result: SearchResult) -> Infeasible:
-    """What blocked a search that found no order: the dead end with the fewest parts left."""
+    """What blocked a search that found no order, where the product comes apart no further."""
+    if result.deepest is not None:
+        deepest = result.deepest
+        known = [problem.edge_bounds.refusal(deepest.state, part) for part in members(deepest.state)]
+        told = explain(problem, deepest.state, [refusal for refusal in known if refusal is not None])
+        return Infeasible(tuple(problem.assembly.names(deepest.state)), told, result.infeasible, deepest)
     if not result.refusals:
         return Infeasible((), (), result.infeasible)
     state, refusals = result.refusals[0]

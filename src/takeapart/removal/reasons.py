@@ -20,6 +20,7 @@ from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Array, Box, OrientedBox
 from takeapart.removal.grasps import LEAST_CONTACT, MeshGrasps, Unholdable, found_on_mesh, is_box, ungraspable
 from takeapart.removal.lifting import contact_height, lift_distance
+from takeapart.removal.margins import PLANNING_MARGIN, padding, passing
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Stage
 from takeapart.removal.wording import away, counted, in_all, listed, millimetres
@@ -183,7 +184,8 @@ class Reasons:
             after[self._bodies[i]] = min(met, after.get(self._bodies[i], height))
         hits = sorted(after.items(), key=lambda hit: hit[1])
         least = {self._bodies[i]: lift_distance(own, height, self._boxes(i)) for i in members(mask)}
-        told = [_meeting(name, met, height, least[name]) for name, met in hits]
+        kept = passing(self._workcell.clearance)
+        told = [_meeting(name, met, height, least[name], kept) for name, met in hits]
         text = f"only straight up is tried: lifted by {millimetres(height)} it {listed(told)}"
         blamed = self._blamed(blocked, [mask & self._permanent])
         return Reason("lift", "lift", text, (("lift_height", height),), tuple(hits), blamed)
@@ -303,9 +305,12 @@ def _no_pinch(cause: Unholdable | None, found: MeshGrasps, opening: float) -> Re
     return Reason("grasp", "fingers", text, numbers)
 
 
-def _meeting(name: str, after: float, height: float, least: float) -> str:
+def _meeting(name: str, after: float, height: float, least: float, kept: float) -> str:
     """What a part that is lifted does to a body that it meets after so many m, or comes so near to, m, if it never
-    does."""
+    does; `kept` is the distance, m, that planning keeps."""
     if after >= height:
-        return f"comes within {millimetres(least)} of {name}" if least > AT_ONCE else f"touches {name} on its way"
+        # At its end the lift keeps more, see `padding`.
+        than = kept if least < kept else padding(kept - PLANNING_MARGIN)
+        near = f"comes within {millimetres(least)} of {name}, closer than the {millimetres(than)} that planning keeps"
+        return near if least > AT_ONCE else f"touches {name} on its way"
     return f"hits {name} after {millimetres(after)}" if after > AT_ONCE else f"hits {name} at once"

@@ -50,6 +50,25 @@ ProgressListener = Callable[[Progress], None]
 
 
 @dataclass(frozen=True, eq=False)
+class Deepest:
+    """How far a product comes apart that has no order, or of which none was found.
+
+    Args:
+        state: the parts that are left.
+        removals: that lead there, in the order of execution; empty if no part leaves.
+        length: sum of their lengths, m.
+        is_deepest: no state with fewer parts can be reached, for the removals that the planner finds.
+        is_shortest: no sequence to a state with as few parts is shorter, likewise.
+    """
+
+    state: int
+    removals: tuple[Removal, ...]
+    length: float
+    is_deepest: bool = False
+    is_shortest: bool = False
+
+
+@dataclass(frozen=True, eq=False)
 class SearchResult:
     """The best sequence that a search found.
 
@@ -64,6 +83,7 @@ class SearchResult:
         interrupted: stopped by Ctrl-C.
         history: queries so far, shortest length and bound, m, wherever one of the lengths changed; infinite where not
             known.
+        deepest: how far the product comes apart, where no sequence was found; see `takeapart.search.deepest`.
     """
 
     removals: tuple[Removal, ...]
@@ -74,6 +94,7 @@ class SearchResult:
     infeasible: bool = False
     interrupted: bool = False
     history: tuple[tuple[int, float, float], ...] = ()
+    deepest: Deepest | None = None
 
 
 class History:

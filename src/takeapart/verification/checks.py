@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def check_robot(plan: Plan, workcell: Workcell) -> list[Finding]:
 
 
 def check_order(plan: Plan, assembly: Assembly) -> list[Finding]:
-    """Every removable part leaves exactly once, and nothing else does."""
+    """Every removable part leaves exactly once, or is said to remain, and nothing else does."""
     findings = []
     seen: dict[str, int] = {}
     for k, step in enumerate(plan.steps):
@@ -78,7 +78,16 @@ def check_order(plan: Plan, assembly: Assembly) -> list[Finding]:
         if message:
             findings.append(Finding(k, step.part, None, "order", message))
         seen.setdefault(step.part, k)
-    missing = [part.name for part in assembly.parts if not part.fixed and part.name not in seen]
+    removable = {part.name for part in assembly.parts if not part.fixed}
+    strange = [name for name in plan.remaining if name not in removable]
+    if strange:
+        message = f"said to remain, but no removable part: {', '.join(strange)}"
+        findings.append(Finding(None, "", None, "order", message))
+    both = [name for name in plan.remaining if name in seen]
+    if both:
+        findings.append(Finding(None, "", None, "order", f"said to remain, but removed: {', '.join(both)}"))
+    left = {*seen, *plan.remaining}
+    missing = [part.name for part in assembly.parts if not part.fixed and part.name not in left]
     if missing:
         findings.append(Finding(None, "", None, "order", f"never removed: {', '.join(missing)}"))
     return findings
@@ -190,15 +199,15 @@ def check_total(plan: Plan, options: VerificationOptions) -> list[Finding]:
     return [Finding(None, "", None, "total_length", message, error)]
 
 
-def straight_line_bound(assembly: Assembly, workcell: Workcell) -> float:
-    """Sum over the removable parts, m, of the distance from the nearest point of the part to the goal, and of what is
-    lifted of the lift and the distance that is left from there: no plan whose grasps are all where `check_grasp`
-    demands them is shorter."""
+def straight_line_bound(assembly: Assembly, workcell: Workcell, remaining: Sequence[str] = ()) -> float:
+    """Sum over the removable parts that do not remain, m, of the distance from the nearest point of the part to the
+    goal, and of what is lifted of the lift and the distance that is left from there: no plan whose grasps are all where
+    `check_grasp` demands them is shorter."""
     lift = workcell.lift_height if assembly.is_lifted else 0.0  # m
     before_the_lift = workcell.goal - np.array([0.0, 0.0, lift])  # (3,) m, in the world
     bound = 0.0
     for part in assembly.parts:
-        if not part.fixed:
+        if not part.fixed and part.name not in remaining:
             bound += lift + min(_depth_outside(box, before_the_lift) for box in gripped_boxes(part))
     return bound
 
@@ -223,7 +232,7 @@ def check_bound(plan: Plan, assembly: Assembly, workcell: Workcell, options: Ver
     """The straight-line bound is what the rule gives, and no stated bound exceeds the stated total."""
     findings = []
     tolerance = options.length_tolerance * max(1, len(plan.steps))
-    expected = straight_line_bound(assembly, workcell)
+    expected = straight_line_bound(assembly, workcell, plan.remaining)
     error = abs(plan.straight_line_bound - expected)
     if not error <= options.length_tolerance:  # a bound that is no number is refused too
         message = f"straight-line bound {plan.straight_line_bound:.6f} m, but the parts give {expected:.6f} m"

@@ -173,6 +173,8 @@ class VerificationReport:
         clearances: the smallest one of every step that was replayed, in the order of disassembly; None as above.
         motion: hash of what the plan has the arm do, see `takeapart.formats.serialization.motion_hash`.
         unjudged: what could not be judged of this product, one line each.
+        remaining: names of the removable parts that the plan leaves where they are; empty if it takes all of them.
+        removable: how many parts the product has that are not fixed.
         contacts: how deep, m, held parts were in what they slid out of, per pair, deepest first.
     """
 
@@ -189,6 +191,8 @@ class VerificationReport:
     motion: str = ""
     unjudged: tuple[str, ...] = ()
     contacts: tuple[tuple[str, str, float], ...] = ()
+    remaining: tuple[str, ...] = ()
+    removable: int = 0
 
     @property
     def not_checked(self) -> tuple[str, ...]:

@@ -165,6 +165,8 @@ class Verifier:
             options=options,
             clearances=tuple(result.clearance for result in results),
             motion=motion_hash(plan),
+            remaining=plan.remaining,
+            removable=assembly.root.bit_count(),
             unjudged=self._unjudged(physics),
             contacts=tuple((*pair, depth) for pair, depth in sorted(self.replay.deepest.items(), key=lambda c: -c[1])),
         )
@@ -228,7 +230,7 @@ def states_of(plan: Plan, assembly: Assembly) -> list[int]:
 
 def _agreement(plan: Plan, assembly: Assembly, workcell: Workcell, results: list[StepResult]) -> Agreement:
     """Differences between stated and recomputed numbers, over the steps that could be replayed."""
-    bound = straight_line_bound(assembly, workcell)
+    bound = straight_line_bound(assembly, workcell, plan.remaining)
     total = sum(result.length for result in results)
     lengths = [result.length_error for result in results]
     return Agreement(
