@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from takeapart.collision.grids import BLOCK, UNIT, Coarse, Grid, distance_grid
 from takeapart.collision.kept import keep_arrays, kept_arrays
@@ -157,10 +158,18 @@ def surface_points(mesh: TriangleMesh, spacing: float) -> Array:
     points = np.concatenate(found)
     cells = np.round(points / (0.7 * spacing)).astype(np.int64)  # of points that stand close together the first is kept
     sharp = len(found[0])
-    _, first = np.unique(cells, axis=0, return_index=True)
+    _, first = np.unique(row_numbers(cells), return_index=True)
     if sharp <= MOST_CORNERS:
         first = np.union1d(first, np.arange(sharp))
     return np.ascontiguousarray(points[np.sort(first)])
+
+
+def row_numbers(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(N,) one number for each row (N, 3), in the same order."""
+    x, y, z = (rows - rows.min(axis=0)).T
+    if (float(x.max()) + 1) * (float(y.max()) + 1) * (float(z.max()) + 1) < 2**62:
+        return np.asarray((x * (y.max() + 1) + y) * (z.max() + 1) + z)
+    return np.unique(rows, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 MOST_CORNERS = 3000  # of a mesh; those of a finer one are thinned out like the rest

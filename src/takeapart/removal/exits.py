@@ -9,11 +9,12 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from takeapart.collision.contact import Contacts
-from takeapart.collision.fields import Field, box_field, least_distance
-from takeapart.collision.sweep import first_hit
+from takeapart.collision.contact import SPACING, Contacts
+from takeapart.collision.fields import Field, box_field
+from takeapart.collision.meeting import AT_ONCE, cloud_distance, cloud_hit
+from takeapart.collision.points import Cloud, cloud_of
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, OrientedBox, pose_inverse
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.removal.directions import directions_of, sphere
 from takeapart.removal.pushes import pushed_free, unscrewed
 
@@ -72,11 +73,13 @@ class Exits:
     ) -> None:
         self._assembly, self._contacts, self._clearance = assembly, contacts, clearance
         self._parts = len(assembly.parts)
-        self._obstacles: list[tuple[Field, Array]] = [
-            (box_field(box.T_frame_box, box.half_extents), box.corners()) for box in obstacles
-        ]
+        self._obstacles: list[tuple[Field, Cloud]] = []
+        for box in obstacles:
+            field = box_field(box.T_frame_box, box.half_extents)
+            surface = Box(tuple(2 * box.half_extents)).surface().moved(box.T_frame_box)
+            self._obstacles.append((field, cloud_of(surface, field, SPACING)))
         self._covers = [_bounds([box.corners() for box in part.boxes_in_world()]) for part in assembly.parts]
-        self._covers += [_bounds([corners]) for _, corners in self._obstacles]
+        self._covers += [_bounds([box.corners()]) for box in obstacles]
         self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
         self._exits: dict[int, tuple[Exit, ...]] = {}
 
@@ -139,9 +142,8 @@ class Exits:
 
     def _hits(self, part: int, direction: Array, T_world_part: Array) -> list[tuple[int, float]]:
         """What a part meets along a direction, and after how many m; obstacles are numbered after the parts."""
-        body = self._contacts.body(part)
-        points = body.points @ T_world_part[:3, :3].T + T_world_part[:3, 3]
-        low, high = points.min(axis=0), points.max(axis=0)
+        body, mine = self._contacts.body(part), pose_inverse(T_world_part)
+        low, high = body.surface.moved(T_world_part).bounds
         swept = np.minimum(low, low + self._travel * direction), np.maximum(high, high + self._travel * direction)
         found = []
         for other in range(self._parts):
@@ -153,30 +155,21 @@ class Exits:
                 continue
             kept = self._kept(part, other)
             back = pose_inverse(T)
-            hit = first_hit(
-                theirs.field,
-                np.ascontiguousarray(points @ back[:3, :3].T + back[:3, 3]),
-                back[:3, :3] @ direction,
-                kept,
-                self._travel,
-            )
-            mine = pose_inverse(T_world_part)
-            world = theirs.points @ T[:3, :3].T + T[:3, 3]
-            hit = min(
-                hit,
-                first_hit(
-                    body.field,
-                    np.ascontiguousarray(world @ mine[:3, :3].T + mine[:3, 3]),
-                    -(mine[:3, :3] @ direction),
-                    kept,
-                    min(self._travel, hit),
-                ),
-            )
+            hit = cloud_hit(theirs.field, body.cloud, back @ T_world_part, back[:3, :3] @ direction, kept, self._travel)
+            if hit > AT_ONCE:
+                away, limit = -(mine[:3, :3] @ direction), min(self._travel, hit)
+                hit = min(hit, cloud_hit(body.field, theirs.cloud, mine @ T, away, kept, limit))
             if hit < math.inf:
                 found.append((other, hit))
-        for number, (field, _) in enumerate(self._obstacles):
-            kept = self._clearance
-            hit = first_hit(field, points, direction, min(kept, least_distance(field, points) - BEYOND), self._travel)
+        for number, (field, cloud) in enumerate(self._obstacles):
+            apart = min(
+                cloud_distance(field, body.cloud, T_world_part, self._clearance),
+                cloud_distance(body.field, cloud, mine, self._clearance),
+            )
+            kept = min(self._clearance, apart - BEYOND)
+            hit = cloud_hit(field, body.cloud, T_world_part, direction, kept, self._travel)
+            away, limit = -(mine[:3, :3] @ direction), min(self._travel, hit)
+            hit = min(hit, cloud_hit(body.field, cloud, mine, away, kept, limit))
             if hit < math.inf:
                 found.append((self._parts + number, hit))
         return found
