@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 from mesh_cases import case
+from takeapart.collision.bounds import overlaps_along
 from takeapart.collision.contact import Contacts, body_of
 from takeapart.collision.fields import FIELD_ERROR, field_of, mesh_field, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, cloud_hit
@@ -259,3 +260,21 @@ def test_plates_that_slide_on_one_another_meet_nothing_and_are_found_to_touch() 
     for direction in ([1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]):
         assert cloud_hit(body.field, body.cloud, T, np.array(direction), -3e-4, 1.0) == np.inf
     assert cloud_hit(body.field, body.cloud, T, np.array([0.0, 0.6, -0.8]), -3e-4, 1.0) < 1e-3
+
+
+def test_bounds_overlap_from_where_to_where_stepping_says() -> None:
+    rng = np.random.default_rng(9)
+    own, others = (np.sort(rng.uniform(-0.05, 0.05, (6, 2, 3)), axis=1) for _ in range(2))
+    steps = np.linspace(0, 0.2, 20_001)
+    for direction in (np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.8, 0.0]), np.array([-0.48, 0.6, 0.64])):
+        moved = own[:, None, None] + steps[None, None, :, None, None] * direction
+        near = (
+            (others[None, :, None, 0] - moved[..., 1, :] < 0.005)
+            & (moved[..., 0, :] - others[None, :, None, 1] < 0.005)
+        ).all(axis=-1)
+        found = overlaps_along(own, others, direction, 0.005)
+        expected = [steps[row] for row in near.reshape(36, -1) if row.any()]
+        assert len(found) == len(expected) > 5
+        for (enter, leave), seen in zip(found, expected, strict=True):
+            assert seen[0] == pytest.approx(max(enter, 0.0), abs=2e-5)
+            assert seen[-1] == pytest.approx(min(leave, 0.2), abs=2e-5)

@@ -14,7 +14,7 @@ import numpy as np
 
 from takeapart.collision.fields import FIELD_ERROR, Field, field_of, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, points_below
-from takeapart.collision.points import Cloud, cloud_of
+from takeapart.collision.points import Cloud, cloud_of, facet_normals
 from takeapart.collision.triangles import TriangleTree, distances, triangle_tree
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
@@ -49,6 +49,11 @@ class Body:
     def cloud(self) -> Cloud:
         """Its surface points that matter where another body is asked with its own in turn."""
         return cloud_of(self.surface, self.field, SPACING)
+
+    @cached_property
+    def facets(self) -> tuple[Array, ...]:
+        """Normals (3,) in the part's frame of groups of parallel facets, those of the largest areas first."""
+        return facet_normals(self.surface)
 
     @cached_property
     def tree(self) -> TriangleTree:

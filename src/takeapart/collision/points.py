@@ -23,6 +23,7 @@ SHARP = math.radians(30)  # along sharper edges points are twice as dense
 SPARSE = 4.0  # times the spacing, on what is flat
 ROUND = 1e-7  # m; corners closer than this are one
 SLACK = math.radians(0.05)  # that a surface may face forwards, to be left out: it slides along
+MOST_FACETS = 6  # groups of parallel facets that are told
 ANY = 2.0  # a sine that no direction reaches: the point is always asked
 
 Indices = NDArray[np.int64]
@@ -109,6 +110,24 @@ def _pairs(normals: Array, group: Indices, groups: int) -> tuple[Array, Array]:
     np.maximum.at(off, group, np.minimum(_angle(normals, found[group, 0]), _angle(normals, found[group, 1])))
     off[np.bincount(group, minlength=groups) == 0] = math.pi
     return found, off
+
+
+def facet_normals(mesh: TriangleMesh) -> tuple[Array, ...]:
+    """Normals (3,) of the `MOST_FACETS` largest groups of parallel facets, the largest first."""
+    corners = mesh.corners
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(crosses, axis=1)
+    normals = crosses[areas > 1e-12] / areas[areas > 1e-12, None]
+    areas = areas[areas > 1e-12]
+    numbers = row_numbers(np.round(100 * normals).astype(np.int64))
+    _, group = np.unique(numbers, return_inverse=True)
+    sums = np.bincount(group.ravel(), weights=areas)
+    found = []
+    for k in np.argsort(-sums, kind="stable")[:MOST_FACETS]:
+        members = group.ravel() == k
+        mean = (normals[members] * areas[members, None]).sum(axis=0)
+        found.append(np.asarray(mean / np.linalg.norm(mean)))
+    return tuple(found)
 
 
 def _merged(mesh: TriangleMesh) -> tuple[Array, Indices]:

@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from takeapart.collision.bounds import overlaps_along
 from takeapart.collision.contact import SPACING, Contacts
 from takeapart.collision.fields import Field, box_field
 from takeapart.collision.meeting import AT_ONCE, cloud_distance, cloud_hit
@@ -143,7 +144,11 @@ class Exits:
     def _hits(self, part: int, direction: Array, T_world_part: Array) -> list[tuple[int, float]]:
         """What a part meets along a direction, and after how many m; obstacles are numbered after the parts."""
         body, mine = self._contacts.body(part), pose_inverse(T_world_part)
-        low, high = body.surface.moved(T_world_part).bounds
+        low, high = self._contacts.bounds[part]
+        if T_world_part is not self._assembly.parts[part].T_world_part:
+            ball = body.cloud.balls[1]
+            middle = T_world_part[:3, :3] @ ball[:3] + T_world_part[:3, 3]
+            low, high = middle - ball[3], middle + ball[3]
         swept = np.minimum(low, low + self._travel * direction), np.maximum(high, high + self._travel * direction)
         found = []
         for other in range(self._parts):
@@ -188,7 +193,9 @@ class Exits:
         if T is not self._assembly.parts[part].T_world_part:
             own = _bounds([box.moved(T).corners() for box in self._assembly.parts[part].shape.boxes()])
         overlaps = {
-            other: _overlaps(own, cover, direction) for other, cover in enumerate(self._covers) if other != part
+            other: overlaps_along(own, cover, direction, APART)
+            for other, cover in enumerate(self._covers)
+            if other != part
         }
         ends = [np.array([SHORTEST])] + [each[:, 1] + BEYOND for each in overlaps.values()]
         for length in np.unique(np.concatenate(ends)).tolist():
@@ -218,22 +225,6 @@ def _bounds(boxes: Sequence[Array]) -> Array:
 def _product(assembly: Assembly) -> Array:
     corners = [part.shape.bounding_box().moved(part.T_world_part).corners() for part in assembly.parts]
     return np.concatenate(corners)
-
-
-def _overlaps(own: Array, others: Array, direction: Array) -> Array:
-    """(P, 2) m: from where to where along a direction bounds (K, 2, 3) are nearer than `APART` to others (L, 2, 3)."""
-    low = others[None, :, 0] - own[:, None, 1] - APART
-    high = others[None, :, 1] - own[:, None, 0] + APART
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, last = low / direction, high / direction
-    still = np.abs(direction) < 1e-9
-    inside = (low < 0) & (high > 0)
-    first = np.where(still, np.where(inside, -np.inf, np.inf), first)
-    last = np.where(still, np.where(inside, np.inf, -np.inf), last)
-    enter, leave = np.minimum(first, last).max(axis=2), np.maximum(first, last).min(axis=2)
-    enter = np.where((still & ~inside).any(axis=2), np.inf, enter)
-    met = (enter < leave) & (leave > 0)
-    return np.asarray(np.column_stack([enter[met], leave[met]]))
 
 
 def _preference(way: Exit) -> tuple[int, int, float, float]:
