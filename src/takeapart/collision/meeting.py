@@ -119,23 +119,23 @@ def cloud_distance(field: Field, cloud: Cloud, T: Array, most: float) -> float:
         T: (4, 4) T_field_cloud.
     """
     least, count = most, 1
-    waiting = np.empty(DEEPEST, np.int32)
-    waiting[0] = 1
+    waiting, bounds = np.empty(DEEPEST, np.int32), np.empty(DEEPEST)
+    waiting[0], bounds[0] = 1, _ball_distance(field, cloud.balls, T, 1)
     while count:
         count -= 1
         node = waiting[count]
+        if bounds[count] >= least:
+            continue
         if node < cloud.leaves:
             left = _ball_distance(field, cloud.balls, T, 2 * node)
             right = _ball_distance(field, cloud.balls, T, 2 * node + 1)
             nearer = 0 if left <= right else 1
             if max(left, right) < least:
-                waiting[count] = 2 * node + 1 - nearer
+                waiting[count], bounds[count] = 2 * node + 1 - nearer, max(left, right)
                 count += 1
             if min(left, right) < least:
-                waiting[count] = 2 * node + nearer
+                waiting[count], bounds[count] = 2 * node + nearer, min(left, right)
                 count += 1
-            continue
-        if _ball_distance(field, cloud.balls, T, node) >= least:
             continue
         first = (node - cloud.leaves) * IN_LEAF
         for i in range(first, min(first + IN_LEAF, len(cloud.points))):

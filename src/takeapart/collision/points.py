@@ -20,7 +20,7 @@ from takeapart.model.geometry import Array, TriangleMesh
 IN_LEAF = 8
 FLAT = math.radians(0.1)  # between facets that are one
 SHARP = math.radians(30)  # along sharper edges points are twice as dense
-SPARSE = 4.0  # times the spacing, on what is flat
+SPARSE = 12.0  # times the spacing, on what is flat
 ROUND = 1e-7  # m; corners closer than this are one
 SLACK = math.radians(0.05)  # that a surface may face forwards, to be left out: it slides along
 MOST_FACETS = 6  # groups of parallel facets that are told
