@@ -12,7 +12,8 @@ from manifold3d import Mesh as ManifoldMesh
 
 from mesh_cases import case
 from takeapart.collision.contact import Contacts
-from takeapart.collision.fields import FIELD_ERROR, MOST_NODES, field_of, mesh_field, signed_distances
+from takeapart.collision.fields import FIELD_ERROR, field_of, mesh_field, signed_distances
+from takeapart.collision.grids import MOST_NODES
 from takeapart.collision.triangles import distances, triangle_tree
 from takeapart.model.assembly import Assembly, Joint, Part
 from takeapart.model.geometry import Array, TriangleMesh

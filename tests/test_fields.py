@@ -9,8 +9,11 @@ import pytest
 import trimesh
 
 from mesh_cases import case
-from takeapart.collision.contact import Contacts
+from takeapart.collision.bounds import overlaps_along
+from takeapart.collision.contact import Contacts, body_of
 from takeapart.collision.fields import FIELD_ERROR, field_of, mesh_field, signed_distances, surface_points
+from takeapart.collision.meeting import cloud_distance, cloud_hit
+from takeapart.collision.points import cloud_of
 from takeapart.collision.sweep import first_hit
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.errors import InputError
@@ -57,7 +60,7 @@ def test_the_field_is_as_near_to_the_true_distance_as_it_says(mesh: trimesh.Trim
     exact = -trimesh.proximity.signed_distance(scaled, points * 1e3) / 1e3
     within = np.abs(exact) < field.band - field.step
     found = signed_distances(field, points)
-    assert within.sum() > 500
+    assert within.sum() > 400
     assert np.abs(found - exact)[within].max() <= FIELD_ERROR * field.step
     assert (np.sign(found) == np.sign(exact))[np.abs(exact) > FIELD_ERROR * field.step].all()
 
@@ -190,3 +193,88 @@ def test_wheels_of_the_car_leave_sideways_and_before_the_body() -> None:
 def test_containers_that_are_drawn_into_one_another_are_told_by_name() -> None:
     with pytest.raises(InputError, match=r"'drawer_\w+' and 'drawer_\w+' overlap by 3\.\d+ mm"):
         Contacts(case("furniture_drawer")).require()
+
+
+def test_edges_are_dense_and_flat_places_nearly_empty() -> None:
+    mesh = trimesh.creation.box((0.1, 0.03, 0.02)).subdivide().subdivide().subdivide().subdivide()  # flat all the same
+    shape = shape_of(mesh)
+    cloud = cloud_of(shape.surface(), field_of(shape), 0.002)
+    half = np.array([0.05, 0.015, 0.01])
+    on_edge = (np.abs(np.abs(cloud.points) - half) < 1e-9).sum(axis=1) >= 2
+    assert (~on_edge).sum() < 400 < on_edge.sum()
+    for axis in range(3):
+        for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            others = [k for k in range(3) if k != axis]
+            along = np.all(np.abs(cloud.points[:, others] - half[others] * signs) < 1e-9, axis=1)
+            places = np.sort(cloud.points[along, axis])
+            assert np.diff(places).max() < 0.0015 and places[-1] == -places[0] == half[axis]
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["as drawn", "inside out"])
+def test_a_sweep_by_the_points_that_matter_finds_what_one_by_all_points_finds(turned: bool) -> None:
+    """Also where triangles are turned the wrong way round: the field tells the side."""
+    rng = np.random.default_rng(2)
+    solids = [
+        trimesh.creation.box((0.03, 0.02, 0.05)),
+        ring(0.012, 0.02, 0.02),
+        trimesh.creation.icosphere(3, 0.015),
+        trimesh.creation.cylinder(0.008, 0.06, sections=20),
+    ]
+    if turned:
+        for solid in solids:
+            solid.invert()
+    bodies = [body_of(shape_of(solid)) for solid in solids]
+    dense = [surface_points(body.surface, 0.0004) for body in bodies]
+    met = 0
+    for _ in range(60):
+        i, j = rng.integers(4, size=2)
+        T = trimesh.transformations.random_rotation_matrix(rng.random(3))
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        T[:3, 3] = -0.08 * direction + rng.normal(0, 0.012, 3)
+        back = np.linalg.inv(T)
+        here = -back[:3, :3] @ direction
+        kept = float(rng.choice([-2e-4, 1e-3]))
+        placed = [dense[j] @ T[:3, :3].T + T[:3, 3], dense[i] @ back[:3, :3].T + back[:3, 3]]
+        truth = min(
+            first_hit(bodies[i].field, placed[0], direction, kept, 0.2),
+            first_hit(bodies[j].field, placed[1], here, kept, 0.2),
+        )
+        found = min(
+            cloud_hit(bodies[i].field, bodies[j].cloud, T, direction, kept, 0.2),
+            cloud_hit(bodies[j].field, bodies[i].cloud, back, here, kept, 0.2),
+        )
+        assert (truth < 0.2) == (found < 0.2) or abs(truth - found) < 1e-3
+        if truth < 0.2:
+            met += 1
+            assert found == pytest.approx(truth, abs=8e-4)
+    assert met > 20
+
+
+def test_plates_that_slide_on_one_another_meet_nothing_and_are_found_to_touch() -> None:
+    plate = shape_of(trimesh.creation.box((0.3, 0.3, 0.01)))
+    body = body_of(plate)
+    T = np.eye(4)
+    T[2, 3] = 0.01
+    assert abs(cloud_distance(body.field, body.cloud, T, 0.01)) < FIELD_ERROR * body.field.step
+    for direction in ([1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]):
+        assert cloud_hit(body.field, body.cloud, T, np.array(direction), -3e-4, 1.0) == np.inf
+    assert cloud_hit(body.field, body.cloud, T, np.array([0.0, 0.6, -0.8]), -3e-4, 1.0) < 1e-3
+
+
+def test_bounds_overlap_from_where_to_where_stepping_says() -> None:
+    rng = np.random.default_rng(9)
+    own, others = (np.sort(rng.uniform(-0.05, 0.05, (6, 2, 3)), axis=1) for _ in range(2))
+    steps = np.linspace(0, 0.2, 20_001)
+    for direction in (np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.8, 0.0]), np.array([-0.48, 0.6, 0.64])):
+        moved = own[:, None, None] + steps[None, None, :, None, None] * direction
+        near = (
+            (others[None, :, None, 0] - moved[..., 1, :] < 0.005)
+            & (moved[..., 0, :] - others[None, :, None, 1] < 0.005)
+        ).all(axis=-1)
+        found = overlaps_along(own, others, direction, 0.005)
+        expected = [steps[row] for row in near.reshape(36, -1) if row.any()]
+        assert len(found) == len(expected) > 5
+        for (enter, leave), seen in zip(found, expected, strict=True):
+            assert seen[0] == pytest.approx(max(enter, 0.0), abs=2e-5)
+            assert seen[-1] == pytest.approx(min(leave, 0.2), abs=2e-5)

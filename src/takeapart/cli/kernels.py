@@ -12,14 +12,22 @@ from typing import Any
 import numba
 import numpy as np
 
+from takeapart.collision import bounds, fields, grids, meeting, points, screws, sweep, triangles
 from takeapart.compilation import LeanKernel
 from takeapart.motion import blockers, edges, legs, lifts, rrt, scene, smooth
 from takeapart.removal import contact_maps
 from takeapart.robot import arrays, grid, hand, kernels, kinematics, self_collision, separation
 from takeapart.search import lattice, lattice_bounds
 
-ELEMENTS = {"Floats": float, "Integers": np.int32, "Flags": np.uint8, "Indices": np.int64, "Counters": np.uint64}
-ELEMENTS |= {"Distances": np.uint16, "RandomState": np.uint64}
+ELEMENTS = {
+    "Floats": float,
+    "Array": float,
+    "Integers": np.int32,
+    "Flags": np.uint8,
+    "Indices": np.int64,
+    "Counters": np.uint64,
+}
+ELEMENTS |= {"Distances": np.uint16, "RandomState": np.uint64, "Grid": np.int16, "Coarse": np.float32}
 NUMBERS = {"int": 0, "float": 0.0}
 
 
@@ -119,6 +127,20 @@ def units(orders: bool) -> dict[str, Unit]:
         (contact_maps.crossings, (three, one, one, 0.0, int32)),
         (contact_maps.pinches, (view, np.zeros((1, 1), np.int32), 0.0, 0)),
         (contact_maps.lengths_along, (view, two, two, 0.0, 0.0)),
+    ]
+    field, cloud, tree = example(fields.Field), example(points.Cloud), example(triangles.TriangleTree)
+    grid16, counts, middles = np.zeros((1, 1, 1), np.int16), np.zeros((1, 1, 1), np.int8), example(fields.Field).coarse
+    called += [  # of contact between parts
+        (grids._fill, (tree, one, 0.0, 0.0, counts, grid16, middles, 0)),
+        (meeting.cloud_hit, (field, cloud, two, one, 0.0, 0.0)),
+        (grids._count_crossings, (three, one, 0.0, 0, counts)),
+        (screws._travel, (field, two, example(screws.ScrewArrays), 0.0, 0.0)),
+        (sweep.first_hit, (field, two, one, 0.0, 0.0)),
+        (meeting.points_below, (field, cloud, two, 0.0)),
+        (meeting.cloud_distance, (field, cloud, two, 0.0)),
+        (triangles.distances, (two, tree, 0.0)),
+        (fields.signed_distances, (field, two)),
+        (bounds.overlaps_along, (three, three, one, 0.0)),
     ]
     of_orders = [
         (lattice._count_candidates, (bits, bits, int64)),

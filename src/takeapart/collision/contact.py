@@ -13,6 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from takeapart.collision.fields import FIELD_ERROR, Field, field_of, signed_distances, surface_points
+from takeapart.collision.meeting import cloud_distance, points_below
+from takeapart.collision.points import Cloud, cloud_of, facet_normals
 from takeapart.collision.triangles import TriangleTree, distances, triangle_tree
 from takeapart.model.assembly import Assembly
 from takeapart.model.errors import InputError
@@ -32,13 +34,26 @@ class Body:
 
     Args:
         field: of its shape, in the part's frame.
-        points: (N, 3) m, on its surface, in the part's frame.
         surface: its triangles.
     """
 
     field: Field
-    points: Array
     surface: TriangleMesh
+
+    @cached_property
+    def points(self) -> Array:
+        """(N, 3) m, on all of its surface, in the part's frame: for bodies that have no points of their own."""
+        return surface_points(self.surface, SPACING)
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Its surface points that matter where another body is asked with its own in turn."""
+        return cloud_of(self.surface, self.field, SPACING)
+
+    @cached_property
+    def facets(self) -> tuple[Array, ...]:
+        """Normals (3,) in the part's frame of groups of parallel facets, those of the largest areas first."""
+        return facet_normals(self.surface)
 
     @cached_property
     def tree(self) -> TriangleTree:
@@ -105,14 +120,10 @@ class Contacts:
 
     def _distance(self, a: int, b: int) -> float:
         """Least signed distance between two parts, m: of the points of each in the field of the other."""
-        least = NEAR
-        for first, second in ((a, b), (b, a)):
-            T = pose_inverse(self._assembly.parts[second].T_world_part) @ self._assembly.parts[first].T_world_part
-            field, points = self.body(second).field, self.body(first).points @ T[:3, :3].T + T[:3, 3]
-            near = (np.abs(points - field.middle) @ np.abs(field.axes.T) < field.half + NEAR).all(axis=1)
-            if near.any():
-                least = min(least, _least_distance(self.body(second), np.ascontiguousarray(points[near])))
-        return least
+        parts = self._assembly.parts
+        T = pose_inverse(parts[b].T_world_part) @ parts[a].T_world_part
+        least = min(NEAR, _least_distance(self.body(b), self.body(a).cloud, T))
+        return min(least, _least_distance(self.body(a), self.body(b).cloud, pose_inverse(T)))
 
     @cached_property
     def _by_pair(self) -> Mapping[tuple[int, int], PairFinding]:
@@ -158,17 +169,25 @@ class Contacts:
         return tuple(sorted(deep, key=lambda each: -each.depth))
 
 
-def _least_distance(body: Body, points: Array) -> float:
-    """Least signed distance of points (N, 3) from a body, m: the field tells the side, the triangles how far."""
-    signed = signed_distances(body.field, points)
-    chosen = signed < NEAR
-    if body.field.step == 0.0 or not chosen.any():
-        return float(signed.min())
-    exact = distances(np.ascontiguousarray(points[chosen]), body.tree, NEAR)
-    return float((np.sign(signed[chosen]) * exact).min())
+def _least_distance(body: Body, cloud: Cloud, T: Array) -> float:
+    """Least signed distance of points from a body, m, `NEAR` at most: the field tells the side, the triangles how far.
+
+    Args:
+        T: (4, 4) T_body_cloud.
+    """
+    field = body.field
+    least = float(cloud_distance(field, cloud, T, NEAR))
+    if field.step == 0.0 or least >= NEAR:
+        return least
+    limit = least + 2 * FIELD_ERROR * field.step  # the field may be wrong about which point is the nearest
+    if least > 0.99 * field.band or limit < -0.99 * field.band:  # beyond the band it knows only bounds
+        limit = NEAR if least > 0 else -0.99 * field.band
+    points = points_below(field, cloud, T, min(NEAR, limit))
+    exact = distances(points, body.tree, NEAR)
+    return float((np.sign(signed_distances(field, points)) * exact).min())
 
 
 def body_of(shape: Shape) -> Body:
     """Field and points of a shape."""
     surface = shape.surface()
-    return Body(field_of(shape), surface_points(surface, SPACING), surface)
+    return Body(field_of(shape), surface)

@@ -1,8 +1,7 @@
 """Signed distance fields: how far a point is from the surface of a shape, negative inside.
 
 A box is exact. A mesh has a grid of whole numbers around its surface, in which a query interpolates between eight
-nodes; beyond its band it only knows that. Which side a node lies on is the majority of three rays along the axes, so
-that a mesh with a hole in its surface keeps an inside.
+nodes. Beyond the grid's band distances are lower bounds, by the middles of blocks of nodes.
 """
 
 from __future__ import annotations
@@ -13,20 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from takeapart.collision.grids import BLOCK, UNIT, Coarse, Grid, distance_grid
 from takeapart.collision.kept import keep_arrays, kept_arrays
-from takeapart.collision.triangles import DEEPEST, TriangleTree, nearest2, triangle_tree
 from takeapart.compilation import compiled, compiled_lean
 from takeapart.model.geometry import Array, Box, Shape, TriangleMesh
 from takeapart.model.meshes import Mesh
 
-FINEST, COARSEST, CELLS = 2.5e-4, 1e-3, 200  # m, m, and along the longest edge
-MOST_NODES = 30_000_000  # of a field, about; larger bodies have a coarser one
-WIDEST = 0.032  # m, of a band: what fits into the numbers
-UNIT = 1e-6  # m, of the numbers in the grid
+MIDDLE = 0.5 * (BLOCK - 1)  # of a block, in nodes
 FIELD_ERROR = 0.3  # cells; no interpolated distance is further from the true one
-BAND_CELLS = 6  # to either side of the surface
 
-FORMAT = 2  # of what is kept
+FORMAT = 3  # of what is kept
 DIMENSIONS = {
     "half": 1,
     "middle": 1,
@@ -35,10 +30,8 @@ DIMENSIONS = {
     "step": 0,
     "band": 0,
     "values": 3,
+    "coarse": 3,
 }  # of the arrays of a field
-
-Grid = NDArray[np.int16]
-Crossings = NDArray[np.int8]
 
 
 class Field(NamedTuple):
@@ -51,6 +44,7 @@ class Field(NamedTuple):
     step: float  # m, between nodes; 0 for a box
     band: float  # m; distances are known up to here
     values: Grid  # (X, Y, Z) in units of UNIT
+    coarse: Coarse  # (X / 8, Y / 8, Z / 8) m, at the middles of blocks of nodes
 
 
 def field_of(shape: Shape) -> Field:
@@ -68,7 +62,7 @@ def kept_field(shape: Mesh) -> Field:
     if found is not None:
         return Field(
             found["half"], found["middle"], found["axes"], found["origin"], float(found["step"]), float(found["band"]),
-            found["values"],
+            found["values"], found["coarse"],
         )  # fmt: skip
     field = mesh_field(shape.surface())
     keep_arrays(name, {key: np.asarray(getattr(field, key)) for key in Field._fields})
@@ -79,110 +73,20 @@ def box_field(T_frame_box: Array, half: Array) -> Field:
     """The field of a box at a pose in some frame."""
     nothing = np.zeros((1, 1, 1), np.int16)
     axes = np.ascontiguousarray(T_frame_box[:3, :3].T)
-    return Field(half, T_frame_box[:3, 3].copy(), axes, np.zeros(3), 0.0, math.inf, nothing)
+    middles = np.zeros((1, 1, 1), np.float32)
+    return Field(half, T_frame_box[:3, 3].copy(), axes, np.zeros(3), 0.0, math.inf, nothing, middles)
 
 
 def mesh_field(mesh: TriangleMesh) -> Field:
     """The field of a mesh in its own frame."""
-    low, high = mesh.bounds
-    step = float(np.clip((high - low).max() / CELLS, FINEST, COARSEST))
-    step = max(step, float(np.prod(high - low + 2 * BAND_CELLS * step) / MOST_NODES) ** (1 / 3))
-    band = min(BAND_CELLS * step, WIDEST)
-    origin = low - band - step
-    shape = np.ceil((high - low + 2 * (band + step)) / step).astype(int) + 1
-    values = np.empty(tuple(shape), np.int16)
-    tree = triangle_tree(mesh)
-    inside: Crossings = np.zeros(tuple(shape), np.int8)
-    for axis in range(3):
-        _count_crossings(tree.corners, origin, step, axis, inside)
-    _fill(tree, origin, step, band, inside, values)
-    half = (shape - 1) * step / 2
-    return Field(half, origin + half, np.eye(3), origin, step, band, values)
-
-
-@compiled
-def _count_crossings(corners: Array, origin: Array, step: float, axis: int, inside: Crossings) -> None:
-    """Adds 1 to every node from which a ray along an axis crosses the surface an odd number of times.
-
-    Rays pass a little beside the nodes, so that they meet no edge of an even drawing.
-    """
-    u, v = (axis + 1) % 3, (axis + 2) % 3
-    nodes_u, nodes_v, nodes = inside.shape[u], inside.shape[v], inside.shape[axis]
-    off_u, off_v = step * 1.2345e-3, step * 2.7182e-3
-    flips = np.zeros((nodes_u, nodes_v, nodes + 1), np.uint8)
-    for t in range(len(corners)):
-        au, av = corners[t, 0, u] - origin[u] - off_u, corners[t, 0, v] - origin[v] - off_v
-        bu, bv = corners[t, 1, u] - origin[u] - off_u, corners[t, 1, v] - origin[v] - off_v
-        cu, cv = corners[t, 2, u] - origin[u] - off_u, corners[t, 2, v] - origin[v] - off_v
-        whole = (bu - au) * (cv - av) - (bv - av) * (cu - au)
-        if whole == 0.0:
-            continue
-        first_u = max(0, math.ceil(min(au, bu, cu) / step))
-        last_u = min(nodes_u - 1, math.floor(max(au, bu, cu) / step))
-        first_v = max(0, math.ceil(min(av, bv, cv) / step))
-        last_v = min(nodes_v - 1, math.floor(max(av, bv, cv) / step))
-        for i in range(first_u, last_u + 1):
-            for j in range(first_v, last_v + 1):
-                x, y = i * step, j * step
-                wb = ((x - au) * (cv - av) - (y - av) * (cu - au)) / whole
-                wc = ((bu - au) * (y - av) - (bv - av) * (x - au)) / whole
-                if wb < 0.0 or wc < 0.0 or wb + wc >= 1.0:
-                    continue
-                a, b, c = corners[t, 0, axis], corners[t, 1, axis], corners[t, 2, axis]
-                height = (a + wb * (b - a) + wc * (c - a) - origin[axis]) / step
-                k = min(nodes, max(0, math.floor(height) + 1))  # nodes before it see the crossing
-                flips[i, j, k] ^= 1
-    for i in range(nodes_u):
-        for j in range(nodes_v):
-            odd = 0
-            for k in range(nodes - 1, -1, -1):
-                odd ^= flips[i, j, k + 1]
-                if odd:
-                    if axis == 0:
-                        inside[k, i, j] += 1
-                    elif axis == 1:
-                        inside[j, k, i] += 1
-                    else:
-                        inside[i, j, k] += 1
-
-
-@compiled
-def _fill(tree: TriangleTree, origin: Array, step: float, band: float, inside: Crossings, values: Grid) -> None:
-    """Signed distances of all nodes: blocks that are far from the surface are filled at once."""
-    block = 8
-    waiting = np.empty(DEEPEST, np.int32)
-    largest = band / UNIT
-    for i0 in range(0, values.shape[0], block):
-        for j0 in range(0, values.shape[1], block):
-            for k0 in range(0, values.shape[2], block):
-                i1, j1, k1 = (
-                    min(i0 + block, values.shape[0]),
-                    min(j0 + block, values.shape[1]),
-                    min(k0 + block, values.shape[2]),
-                )
-                x = origin[0] + 0.5 * (i0 + i1 - 1) * step
-                y = origin[1] + 0.5 * (j0 + j1 - 1) * step
-                z = origin[2] + 0.5 * (k0 + k1 - 1) * step
-                reach = band + 0.5 * math.sqrt(3.0) * block * step
-                far = nearest2(x, y, z, tree, reach * reach, waiting) >= reach * reach
-                for i in range(i0, i1):
-                    for j in range(j0, j1):
-                        before = -1.0
-                        for k in range(k0, k1):
-                            distance = band
-                            if not far:
-                                bound = band if before < 0.0 else min(band, before + step * 1.0001)
-                                x, y, z = origin[0] + i * step, origin[1] + j * step, origin[2] + k * step
-                                distance = math.sqrt(nearest2(x, y, z, tree, bound * bound, waiting))
-                                before = distance
-                            value = min(largest, distance / UNIT)
-                            values[i, j, k] = -value if inside[i, j, k] >= 2 else value
+    grid = distance_grid(mesh)
+    half = (np.array(grid.values.shape) - 1) * grid.step / 2
+    return Field(half, grid.origin + half, np.eye(3), grid.origin, grid.step, grid.band, grid.values, grid.coarse)
 
 
 @compiled_lean
 def signed_distance(field: Field, x: float, y: float, z: float) -> float:
-    """Signed distance of a point in the field's frame, m; of a mesh no more than the band, and a lower bound outside of
-    the grid."""
+    """Signed distance of a point in the field's frame, m; of a mesh a lower bound where it is further than the band."""
     dx, dy, dz = x - field.middle[0], y - field.middle[1], z - field.middle[2]
     if field.step == 0.0:
         ex = abs(field.axes[0, 0] * dx + field.axes[0, 1] * dy + field.axes[0, 2] * dz) - field.half[0]
@@ -210,7 +114,13 @@ def signed_distance(field: Field, x: float, y: float, z: float) -> float:
     high = (values[i + 1, j, k] * (1 - w) + values[i + 1, j, k + 1] * w) * (1 - v) + (
         values[i + 1, j + 1, k] * (1 - w) + values[i + 1, j + 1, k + 1] * w
     ) * v
-    return UNIT * (low * (1 - u) + high * u)
+    value = UNIT * (low * (1 - u) + high * u)
+    if abs(value) < 0.999 * field.band:
+        return value
+    a, b, c = i // BLOCK, j // BLOCK, k // BLOCK  # far from the surface: as far as the middle of the block, at least
+    u, v, w = i + u - a * BLOCK - MIDDLE, j + v - b * BLOCK - MIDDLE, k + w - c * BLOCK - MIDDLE
+    bound = field.coarse[a, b, c] - field.step * math.sqrt(u * u + v * v + w * w)
+    return max(value, bound) if value > 0.0 else min(value, bound)
 
 
 @compiled
@@ -248,10 +158,18 @@ def surface_points(mesh: TriangleMesh, spacing: float) -> Array:
     points = np.concatenate(found)
     cells = np.round(points / (0.7 * spacing)).astype(np.int64)  # of points that stand close together the first is kept
     sharp = len(found[0])
-    _, first = np.unique(cells, axis=0, return_index=True)
+    _, first = np.unique(row_numbers(cells), return_index=True)
     if sharp <= MOST_CORNERS:
         first = np.union1d(first, np.arange(sharp))
     return np.ascontiguousarray(points[np.sort(first)])
+
+
+def row_numbers(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(N,) one number for each row (N, 3), in the same order."""
+    x, y, z = (rows - rows.min(axis=0)).T
+    if (float(x.max()) + 1) * (float(y.max()) + 1) * (float(z.max()) + 1) < 2**62:
+        return np.asarray((x * (y.max() + 1) + y) * (z.max() + 1) + z)
+    return np.unique(rows, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 MOST_CORNERS = 3000  # of a mesh; those of a finer one are thinned out like the rest

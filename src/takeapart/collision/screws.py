@@ -65,10 +65,10 @@ class Screw:
 class ScrewArrays(NamedTuple):
     """As `Screw`, for kernels."""
 
-    along: Array
+    along: Array  # (3,)
     turn: float
-    axis: Array
-    center: Array
+    axis: Array  # (3,)
+    center: Array  # (3,)
 
 
 @compiled

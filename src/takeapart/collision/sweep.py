@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from takeapart.collision.fields import Field, signed_distance
-from takeapart.compilation import compiled
+from takeapart.compilation import compiled, compiled_lean
 from takeapart.model.geometry import Array
 
 LEAST_STEP = 2e-4  # m, in contact
@@ -27,7 +27,7 @@ def first_hit(field: Field, points: Array, direction: Array, kept: float, travel
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         limit = min(travel, nearest)
-        t = _entry(field, x, y, z, direction, kept, limit)
+        t = entry(field, x, y, z, direction, kept, limit)
         while t <= limit:
             away = signed_distance(field, x + t * dx, y + t * dy, z + t * dz) - kept
             if away < 0.0:
@@ -37,8 +37,8 @@ def first_hit(field: Field, points: Array, direction: Array, kept: float, travel
     return nearest
 
 
-@compiled
-def _entry(field: Field, x: float, y: float, z: float, direction: Array, kept: float, travel: float) -> float:
+@compiled_lean
+def entry(field: Field, x: float, y: float, z: float, direction: Array, kept: float, travel: float) -> float:
     """How far a point goes until it enters the box around a field, grown by what is kept; infinite if it never does."""
     first, last = 0.0, travel
     grown = max(kept, 0.0) + 1e-6

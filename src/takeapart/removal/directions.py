@@ -35,12 +35,12 @@ def directions_of(assembly: Assembly, contacts: Contacts, part: int) -> tuple[Ar
     for axis in box.T_frame_box[:3, :3].T:
         add(axis)
         add(-axis)
-    for normal in _facet_normals(assembly, part):
+    for normal in _facet_normals(assembly, contacts, part):
         add(normal)
         add(-normal)
     for other in range(len(assembly.parts)):
         if other != part and contacts.finding(part, other) is not None:
-            for normal in _facet_normals(assembly, other)[:3]:
+            for normal in _facet_normals(assembly, contacts, other)[:3]:
                 add(normal)
                 add(-normal)
     for angle in np.arange(0.0, 2 * np.pi, np.pi / 6):
@@ -49,22 +49,9 @@ def directions_of(assembly: Assembly, contacts: Contacts, part: int) -> tuple[Ar
     return tuple(chosen)
 
 
-def _facet_normals(assembly: Assembly, part: int) -> list[Array]:
+def _facet_normals(assembly: Assembly, contacts: Contacts, part: int) -> list[Array]:
     """Normals in the world of the largest groups of parallel facets, the largest first."""
-    body = assembly.parts[part]
-    corners = body.shape.surface().corners
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas = np.linalg.norm(crosses, axis=1)
-    normals = crosses[areas > 1e-12] / areas[areas > 1e-12, None]
-    areas = areas[areas > 1e-12]
-    groups, number = np.unique(np.round(normals, 2) + 0.0, axis=0, return_inverse=True)
-    sums = np.bincount(number.ravel(), weights=areas, minlength=len(groups))
-    found = []
-    for k in np.argsort(-sums, kind="stable")[:FACETS]:
-        members = number.ravel() == k
-        mean = (normals[members] * areas[members, None]).sum(axis=0)
-        found.append(body.T_world_part[:3, :3] @ (mean / np.linalg.norm(mean)))
-    return found
+    return [assembly.parts[part].T_world_part[:3, :3] @ normal for normal in contacts.body(part).facets[:FACETS]]
 
 
 @cache

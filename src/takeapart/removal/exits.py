@@ -9,11 +9,13 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from takeapart.collision.contact import Contacts
-from takeapart.collision.fields import Field, box_field, least_distance
-from takeapart.collision.sweep import first_hit
+from takeapart.collision.bounds import overlaps_along
+from takeapart.collision.contact import SPACING, Contacts
+from takeapart.collision.fields import Field, box_field
+from takeapart.collision.meeting import AT_ONCE, cloud_distance, cloud_hit
+from takeapart.collision.points import Cloud, cloud_of
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, OrientedBox, pose_inverse
+from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
 from takeapart.removal.directions import directions_of, sphere
 from takeapart.removal.pushes import pushed_free, unscrewed
 
@@ -72,11 +74,13 @@ class Exits:
     ) -> None:
         self._assembly, self._contacts, self._clearance = assembly, contacts, clearance
         self._parts = len(assembly.parts)
-        self._obstacles: list[tuple[Field, Array]] = [
-            (box_field(box.T_frame_box, box.half_extents), box.corners()) for box in obstacles
-        ]
+        self._obstacles: list[tuple[Field, Cloud]] = []
+        for box in obstacles:
+            field = box_field(box.T_frame_box, box.half_extents)
+            surface = Box(tuple(2 * box.half_extents)).surface().moved(box.T_frame_box)
+            self._obstacles.append((field, cloud_of(surface, field, SPACING)))
         self._covers = [_bounds([box.corners() for box in part.boxes_in_world()]) for part in assembly.parts]
-        self._covers += [_bounds([corners]) for _, corners in self._obstacles]
+        self._covers += [_bounds([box.corners()]) for box in obstacles]
         self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
         self._exits: dict[int, tuple[Exit, ...]] = {}
 
@@ -139,9 +143,12 @@ class Exits:
 
     def _hits(self, part: int, direction: Array, T_world_part: Array) -> list[tuple[int, float]]:
         """What a part meets along a direction, and after how many m; obstacles are numbered after the parts."""
-        body = self._contacts.body(part)
-        points = body.points @ T_world_part[:3, :3].T + T_world_part[:3, 3]
-        low, high = points.min(axis=0), points.max(axis=0)
+        body, mine = self._contacts.body(part), pose_inverse(T_world_part)
+        low, high = self._contacts.bounds[part]
+        if T_world_part is not self._assembly.parts[part].T_world_part:
+            ball = body.cloud.balls[1]
+            middle = T_world_part[:3, :3] @ ball[:3] + T_world_part[:3, 3]
+            low, high = middle - ball[3], middle + ball[3]
         swept = np.minimum(low, low + self._travel * direction), np.maximum(high, high + self._travel * direction)
         found = []
         for other in range(self._parts):
@@ -153,30 +160,21 @@ class Exits:
                 continue
             kept = self._kept(part, other)
             back = pose_inverse(T)
-            hit = first_hit(
-                theirs.field,
-                np.ascontiguousarray(points @ back[:3, :3].T + back[:3, 3]),
-                back[:3, :3] @ direction,
-                kept,
-                self._travel,
-            )
-            mine = pose_inverse(T_world_part)
-            world = theirs.points @ T[:3, :3].T + T[:3, 3]
-            hit = min(
-                hit,
-                first_hit(
-                    body.field,
-                    np.ascontiguousarray(world @ mine[:3, :3].T + mine[:3, 3]),
-                    -(mine[:3, :3] @ direction),
-                    kept,
-                    min(self._travel, hit),
-                ),
-            )
+            hit = cloud_hit(theirs.field, body.cloud, back @ T_world_part, back[:3, :3] @ direction, kept, self._travel)
+            if hit > AT_ONCE:
+                away, limit = -(mine[:3, :3] @ direction), min(self._travel, hit)
+                hit = min(hit, cloud_hit(body.field, theirs.cloud, mine @ T, away, kept, limit))
             if hit < math.inf:
                 found.append((other, hit))
-        for number, (field, _) in enumerate(self._obstacles):
-            kept = self._clearance
-            hit = first_hit(field, points, direction, min(kept, least_distance(field, points) - BEYOND), self._travel)
+        for number, (field, cloud) in enumerate(self._obstacles):
+            apart = min(
+                cloud_distance(field, body.cloud, T_world_part, self._clearance),
+                cloud_distance(body.field, cloud, mine, self._clearance),
+            )
+            kept = min(self._clearance, apart - BEYOND)
+            hit = cloud_hit(field, body.cloud, T_world_part, direction, kept, self._travel)
+            away, limit = -(mine[:3, :3] @ direction), min(self._travel, hit)
+            hit = min(hit, cloud_hit(body.field, cloud, mine, away, kept, limit))
             if hit < math.inf:
                 found.append((self._parts + number, hit))
         return found
@@ -195,7 +193,9 @@ class Exits:
         if T is not self._assembly.parts[part].T_world_part:
             own = _bounds([box.moved(T).corners() for box in self._assembly.parts[part].shape.boxes()])
         overlaps = {
-            other: _overlaps(own, cover, direction) for other, cover in enumerate(self._covers) if other != part
+            other: overlaps_along(own, cover, direction, APART)
+            for other, cover in enumerate(self._covers)
+            if other != part
         }
         ends = [np.array([SHORTEST])] + [each[:, 1] + BEYOND for each in overlaps.values()]
         for length in np.unique(np.concatenate(ends)).tolist():
@@ -225,22 +225,6 @@ def _bounds(boxes: Sequence[Array]) -> Array:
 def _product(assembly: Assembly) -> Array:
     corners = [part.shape.bounding_box().moved(part.T_world_part).corners() for part in assembly.parts]
     return np.concatenate(corners)
-
-
-def _overlaps(own: Array, others: Array, direction: Array) -> Array:
-    """(P, 2) m: from where to where along a direction bounds (K, 2, 3) are nearer than `APART` to others (L, 2, 3)."""
-    low = others[None, :, 0] - own[:, None, 1] - APART
-    high = others[None, :, 1] - own[:, None, 0] + APART
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, last = low / direction, high / direction
-    still = np.abs(direction) < 1e-9
-    inside = (low < 0) & (high > 0)
-    first = np.where(still, np.where(inside, -np.inf, np.inf), first)
-    last = np.where(still, np.where(inside, np.inf, -np.inf), last)
-    enter, leave = np.minimum(first, last).max(axis=2), np.maximum(first, last).min(axis=2)
-    enter = np.where((still & ~inside).any(axis=2), np.inf, enter)
-    met = (enter < leave) & (leave > 0)
-    return np.asarray(np.column_stack([enter[met], leave[met]]))
 
 
 def _preference(way: Exit) -> tuple[int, int, float, float]:
