@@ -15,8 +15,8 @@ from takeapart.collision.contact import Contacts
 from takeapart.collision.fields import FIELD_ERROR, field_of, mesh_field, signed_distances
 from takeapart.collision.grids import MOST_NODES
 from takeapart.collision.triangles import distances, triangle_tree
-from takeapart.model.assembly import Assembly, Joint, Part
-from takeapart.model.geometry import Array, TriangleMesh
+from takeapart.model.assembly import Assembly, Connector, Joint, Part
+from takeapart.model.geometry import Array, Box, OrientedBox, TriangleMesh, pose
 from takeapart.model.meshes import Mesh
 from takeapart.removal.exits import Exits
 
@@ -216,3 +216,30 @@ def test_the_wheels_of_the_car_leave_sideways() -> None:
     for wheel in ("part0", "part3", "part4", "part5"):
         first = exits.exits(assembly.index[wheel])[0]
         assert first.blockers == 0 and first.direction is not None and abs(first.direction[2]) < 0.1
+
+
+def test_what_stands_on_a_table_below_a_roof_goes_aside_and_then_up() -> None:
+    """Neither up nor beyond the table's edge: it ends above the table, on a way that exact meshes find free."""
+    roof = block((-30, -30, 21), (30, 30, 30)) + block((-30, 20, 0), (30, 30, 30))
+    assembly = Assembly("roof", (part("roof", roof, fixed=True), part("cube", block((-10, -10, 0), (10, 10, 20)))))
+    T = np.eye(4)
+    T[2, 3] = -0.021  # its top 1 mm below
+    table = OrientedBox(T, np.array([0.8, 0.7, 0.02]))
+    found = Exits(assembly, Contacts(assembly), (table,), 0.0011).exits(1)
+    assert found and found[0].blockers == 0
+    end = found[0].poses[-1, :3, 3]
+    assert end[2] > 0.005 and np.linalg.norm(end) < 0.1
+    assert deepest(assembly, 1, found[0].poses) == 0.0
+    assert (found[0].poses[:, 2, 3] >= 0.0).all()
+
+
+def test_the_walls_of_connectors_are_in_the_way_of_meshes() -> None:
+    """A wall over a cube keeps it from going up, and whoever carries the wall is told."""
+    wall = OrientedBox(pose((0.0, 0.0, 0.03)), np.array([0.02, 0.02, 0.002]))
+    base = Part("base", Box((0.06, 0.06, 0.01)), pose((0.0, 0.0, -0.005)), 1.0, fixed=True)
+    cube = part("cube", block((-10, -10, 0), (10, 10, 20)))
+    connector = Connector("bridge", "O", "base", "cube", (wall,))
+    free = ways(Assembly("open", (base, cube))).exits(1)
+    assert free[0].direction is not None and free[0].direction[2] > 0.99 and free[0].blockers == 0
+    kept = ways(Assembly("mixed", (base, cube), (connector,))).exits(1)
+    assert kept and all(way.direction is None or way.direction[2] < 0.9 for way in kept if way.blockers == 0)

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
 
-from takeapart.collision.bounds import overlaps_along
-from takeapart.collision.contact import SPACING, Contacts
-from takeapart.collision.fields import Field, box_field
-from takeapart.collision.meeting import AT_ONCE, cloud_distance, cloud_hit
-from takeapart.collision.points import Cloud, cloud_of
+from takeapart.collision.contact import Contacts
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, Box, OrientedBox, pose_inverse
+from takeapart.model.geometry import Array, OrientedBox
 from takeapart.removal.directions import directions_of, sphere
-from takeapart.removal.pushes import pushed_free, unscrewed
+from takeapart.removal.endings import APART, bounds_of, ending, only, raised
+from takeapart.removal.pushes import Pushes, Way, unscrewed
+from takeapart.removal.surroundings import Pair, Stand, Surroundings, Sweep
+from takeapart.states import members
 
 ExitKind = Literal["straight", "pushes", "screw"]
 
@@ -26,12 +25,17 @@ ExitKind = Literal["straight", "pushes", "screw"]
 class Exit:
     """A motion of a part alone, from its place to where it is clear.
 
+    Bodies are numbered: the parts as in the assembly, then the obstacles of the environment.
+
     Args:
         kind: along a direction, in a few pushes, or along a screw.
         poses: (K, 4, 4) T_world_part, the first as assembled.
-        blockers: state of the parts that it would hit; None where it meets what never leaves.
+        blockers: state of the parts that it would hit; None where it meets what never leaves, or has no end.
         direction: (3,) unit vector of a straight exit, else None.
-        hits: what it meets, and after how many metres; the number of parts stands for what never leaves.
+        hits: bodies that it meets, and after how many metres, the first of them first.
+        near: bodies from which the part does not get away along the direction, and how near it still is after its
+            whole length, m.
+        pushes: how many pushes were tried to find another way, where none of them led to one.
     """
 
     kind: ExitKind
@@ -39,6 +43,8 @@ class Exit:
     blockers: int | None
     direction: Array | None = None
     hits: tuple[tuple[int, float], ...] = ()
+    near: tuple[tuple[int, float], ...] = ()
+    pushes: int = 0
 
 
 class ExitRule(Protocol):
@@ -49,18 +55,22 @@ class ExitRule(Protocol):
         ...
 
 
-APART = 5e-3  # m, between the covers of a part and of what it passed, at the end of its exit
-SHORTEST, MOST_TRAVEL = 0.01, 2.0  # m
+MOST_TRAVEL = 2.0  # m
 MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
 AXES = 5  # of the directions of a part, the world's: along these it leaves after pushes
-BEYOND = 1e-4  # m past the end of an overlap of covers
+UP = np.array([0.0, 0.0, 1.0])
+LEVEL = 0.05  # sine; a way sideways is less steep
+TURNINGS = 3  # places on a way sideways from which a part is tried to go up
+MOST_WAITING = 12  # parts that wait for each other, of which pushes are tried
 
 
 class Exits:
-    """Ways out of a product: straight in any direction, by a thread or by pushes where no straight one is; found when
-    first asked for.
+    """Ways out of a product: straight in any direction, sideways and then up from what carries the part, by a thread or
+    by pushes where none of these is; found when first asked for.
+
+    Each is free of all parts but its blockers, and keeps to what `Surroundings` demands along its whole length.
 
     Args:
         assembly: the product.
@@ -72,36 +82,46 @@ class Exits:
     def __init__(
         self, assembly: Assembly, contacts: Contacts, obstacles: Sequence[OrientedBox], clearance: float
     ) -> None:
-        self._assembly, self._contacts, self._clearance = assembly, contacts, clearance
-        self._parts = len(assembly.parts)
-        self._obstacles: list[tuple[Field, Cloud]] = []
-        for box in obstacles:
-            field = box_field(box.T_frame_box, box.half_extents)
-            surface = Box(tuple(2 * box.half_extents)).surface().moved(box.T_frame_box)
-            self._obstacles.append((field, cloud_of(surface, field, SPACING)))
-        self._covers = [_bounds([box.corners() for box in part.boxes_in_world()]) for part in assembly.parts]
-        self._covers += [_bounds([box.corners()]) for box in obstacles]
+        self._assembly, self._contacts = assembly, contacts
+        self._around = Surroundings(assembly, contacts, obstacles, clearance)
+        self._covers = [
+            bounds_of([box.moved(part.T_world_part).corners() for box in assembly.body(number)])
+            for number, part in enumerate(assembly.parts)
+        ]
+        self._covers += [bounds_of([box.corners()]) for box in obstacles]
         self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
+        self._alone: dict[int, tuple[Exit, ...]] = {}
         self._exits: dict[int, tuple[Exit, ...]] = {}
 
     def exits(self, part: int) -> tuple[Exit, ...]:
         """The exits worth trying, those with the fewest blockers first; where every one meets what never leaves, those,
         with what they hit."""
         if part not in self._exits:
-            self._exits[part] = self._find(part)
+            ways = self._of(part)
+            if ways and not any(way.blockers == 0 for way in ways):
+                ways = self._untangled().get(part, ways)
+            self._exits[part] = ways
         return self._exits[part]
 
+    def _of(self, part: int) -> tuple[Exit, ...]:
+        """The exits of a part that need no other's."""
+        if part not in self._alone:
+            self._alone[part] = () if self._assembly.parts[part].fixed else self._find(part)
+        return self._alone[part]
+
     def _find(self, part: int) -> tuple[Exit, ...]:
-        if self._assembly.parts[part].fixed:
-            return ()
+        stand = self._stand(part)
         first = directions_of(self._assembly, self._contacts, part)
-        found = [self._along(part, direction) for direction in first]
+        sweeps = [stand.sweep(direction, self._travel) for direction in first]
+        found = [self._along(stand, each, sweep) for each, sweep in zip(first, sweeps, strict=True)]
+        if found[0].blockers != 0:
+            found = [self._aside(stand, way, sweep, sweeps[0]) or way for way, sweep in zip(found, sweeps, strict=True)]
         if not any(way.blockers == 0 for way in found):
-            found += [self._along(part, direction) for direction in sphere() if _is_new(direction, first)]
+            found += [self._along(stand, direction) for direction in sphere() if _is_new(direction, first)]
         open_ = [way for way in found if way.blockers is not None]
         if not open_:
-            winding = self._winding(part, first)
-            return tuple(found[:MOST_EXITS]) if winding is None else (winding,)
+            winding, pushes = self._winding(part, range(self._around.bodies))
+            return (winding,) if winding else tuple(replace(way, pushes=pushes) for way in found[:MOST_EXITS])
         kept: list[Exit] = []
         for way in sorted(open_, key=_preference):
             better = [other for other in kept if _is_no_worse(other, way)]
@@ -109,117 +129,122 @@ class Exits:
                 kept.append(way)
         return tuple(kept[:MOST_EXITS])
 
-    def _winding(self, part: int, directions: Sequence[Array]) -> Exit | None:
-        """A way out along a thread or by pushes, with all others there; None where none is found."""
-        others = [other for other in range(self._parts) if other != part]
+    def _untangled(self) -> dict[int, tuple[Exit, ...]]:
+        """The exits of parts that wait for each other: of these pushes are tried among those alone that no order
+        frees."""
+        parts = [part for part, body in enumerate(self._assembly.parts) if not body.fixed]
+        ways = {part: self._of(part) for part in parts}
+        while True:
+            stuck = _stuck(ways)
+            if stuck.bit_count() > MOST_WAITING:
+                return ways
+            permanent = [body for body in range(self._around.bodies) if self._around.never_leaves(body)]
+            freed = False
+            for part in members(stuck):
+                if stuck == self._assembly.root and all(way.blockers is None for way in ways[part]):
+                    continue  # tried among the same parts before
+                way, pushes = self._winding(part, [*members(stuck), *permanent])
+                if way is not None:
+                    ways[part] = (*(each for each in ways[part] if each.blockers is not None), way)
+                    freed = True
+                    break
+                ways[part] = tuple(replace(each, pushes=max(each.pushes, pushes)) for each in ways[part])
+            if not freed:
+                return ways
 
-        def is_free(T: Array, direction: Array) -> bool:
-            return self._along(part, direction, T).blockers == 0
+    def _winding(self, part: int, bodies: Collection[int]) -> tuple[Exit | None, int]:
+        """A way out along a thread or by pushes, with some bodies there; None where none is found. And after how many
+        pushes."""
+        there = [body for body in bodies if body != part]
+        ends: list[Stand] = []
 
-        kind: ExitKind = "screw"
-        boxes = [field for field, _ in self._obstacles]
-        way = unscrewed(self._assembly, self._contacts, part, others, boxes, is_free)
-        if way is None:
-            kind = "pushes"
-            way = pushed_free(self._assembly, self._contacts, part, others, boxes, directions[:AXES], is_free)
-        if way is None:
+        def out(way: Way) -> Exit | None:
+            """The whole way, if its end is free and all of it keeps to what is demanded."""
+            if not ends or ends[-1].T is not way.end:
+                ends.append(self._stand(part, way.end))
+            last = self._along(ends[-1], way.direction)
+            if last.blockers is None or any(last.blockers >> body & 1 for body in there):
+                return None
+            poses = np.concatenate([way.poses, last.poses])
+            met = self._around.met(part, poses)
+            if any(body in there or self._around.never_leaves(body) for body in met):
+                return None
+            kind: ExitKind = "screw" if way.turns else "pushes"
+            return Exit(kind, poses, last.blockers | sum(1 << body for body in met), None, last.hits)
+
+        found = unscrewed(self._assembly, self._stand(part), there, out)
+        if found is not None:
+            return found, 0
+        axes = directions_of(self._assembly, self._contacts, part)[:AXES]
+        pushes = Pushes(self._around, part, there, axes)
+        return pushes.free(out), pushes.count
+
+    def _stand(self, part: int, T: Array | None = None) -> Stand:
+        return self._around.stand(part, self._assembly.parts[part].T_world_part if T is None else T)
+
+    def _own(self, stand: Stand) -> Array:
+        """(K, 2, 3) m, bounds of the cover of a part at a pose."""
+        if stand.T is self._assembly.parts[stand.part].T_world_part:
+            return self._covers[stand.part]
+        return bounds_of([box.moved(stand.T).corners() for box in self._assembly.body(stand.part)])
+
+    def _along(self, stand: Stand, direction: Array, sweep: Sweep | None = None, parted: Collection[Pair] = ()) -> Exit:
+        """Straight out from where a part stands."""
+        hits = dict((sweep or stand.sweep(direction, self._travel, parted)).hits)
+        others = only(self._covers, [body for body in range(self._around.bodies) if body != stand.part])
+        end = ending(self._own(stand), others, direction, hits, self._travel)
+        poses = np.repeat(stand.T[None], 2, axis=0)
+        poses[1, :3, 3] += end.length * direction
+        told = sorted(((body, hits[body]) for body in end.hit), key=lambda hit: hit[1])
+        near: list[tuple[int, float]] = []
+        if end.near:
+            there = self._stand(stand.part, poses[1])
+            near = sorted(((body, there.distance(body)) for body in end.near), key=lambda each: each[1])
+        return Exit("straight", poses, self._blockers(end.hit, end.near), direction, tuple(told), tuple(near))
+
+    def _blockers(self, hit: Collection[int], near: Collection[int] = ()) -> int | None:
+        if near or any(self._around.never_leaves(body) for body in hit):
             return None
-        out = self._along(part, way.direction, way.poses[-1])
-        return Exit(kind, np.concatenate([way.poses, out.poses[1:]]), out.blockers, None, out.hits)
+        return sum(1 << body for body in hit)
 
-    def _along(self, part: int, direction: Array, T: Array | None = None) -> Exit:
-        """Straight out from where the part stands, or from another pose."""
-        start = self._assembly.parts[part].T_world_part if T is None else T
-        hits = self._hits(part, direction, start)
-        length, blockers = self._length(part, direction, dict(hits), start)
-        poses = np.repeat(start[None], 2, axis=0)
-        poses[1, :3, 3] += length * direction
-        told: dict[int, float] = {}
-        for owner, after in hits:
-            number = owner if owner < self._parts and not self._assembly.parts[owner].fixed else self._parts
-            if after <= length:
-                told[number] = min(after, told.get(number, math.inf))
-        return Exit("straight", poses, blockers, direction, tuple(sorted(told.items(), key=lambda hit: hit[1])))
+    def _aside(self, stand: Stand, way: Exit, sweep: Sweep, up: Sweep) -> Exit | None:
+        """Sideways until nothing is above the part any more, then up from what carries it; None where that is not
+        possible, or no shorter than to go on sideways.
 
-    def _hits(self, part: int, direction: Array, T_world_part: Array) -> list[tuple[int, float]]:
-        """What a part meets along a direction, and after how many m; obstacles are numbered after the parts."""
-        body, mine = self._contacts.body(part), pose_inverse(T_world_part)
-        low, high = self._contacts.bounds[part]
-        if T_world_part is not self._assembly.parts[part].T_world_part:
-            ball = body.cloud.balls[1]
-            middle = T_world_part[:3, :3] @ ball[:3] + T_world_part[:3, 3]
-            low, high = middle - ball[3], middle + ball[3]
-        swept = np.minimum(low, low + self._travel * direction), np.maximum(high, high + self._travel * direction)
-        found = []
-        for other in range(self._parts):
-            if other == part:
-                continue
-            theirs, T = self._contacts.body(other), self._assembly.parts[other].T_world_part
-            near = self._contacts.bounds[other]
-            if (near[0] > swept[1] + self._clearance).any() or (near[1] < swept[0] - self._clearance).any():
-                continue
-            kept = self._kept(part, other)
-            back = pose_inverse(T)
-            hit = cloud_hit(theirs.field, body.cloud, back @ T_world_part, back[:3, :3] @ direction, kept, self._travel)
-            if hit > AT_ONCE:
-                away, limit = -(mine[:3, :3] @ direction), min(self._travel, hit)
-                hit = min(hit, cloud_hit(body.field, theirs.cloud, mine @ T, away, kept, limit))
-            if hit < math.inf:
-                found.append((other, hit))
-        for number, (field, cloud) in enumerate(self._obstacles):
-            apart = min(
-                cloud_distance(field, body.cloud, T_world_part, self._clearance),
-                cloud_distance(body.field, cloud, mine, self._clearance),
-            )
-            kept = min(self._clearance, apart - BEYOND)
-            hit = cloud_hit(field, body.cloud, T_world_part, direction, kept, self._travel)
-            away, limit = -(mine[:3, :3] @ direction), min(self._travel, hit)
-            hit = min(hit, cloud_hit(body.field, cloud, mine, away, kept, limit))
-            if hit < math.inf:
-                found.append((self._parts + number, hit))
-        return found
-
-    def _kept(self, part: int, other: int) -> float:
-        """How near two parts may come, m: negative where they may overlap."""
-        found = self._contacts.finding(part, other)
-        if found is not None and found.gap <= self._clearance:
-            return -self._contacts.tolerance(part, other)
-        return self._clearance
-
-    def _length(self, part: int, direction: Array, hits: dict[int, float], T: Array) -> tuple[float, int | None]:
-        """The shortest way along a direction at whose end the part's cover is apart from those of all that it did not
-        hit on the way, m; and what it hit by then."""
-        own = self._covers[part]
-        if T is not self._assembly.parts[part].T_world_part:
-            own = _bounds([box.moved(T).corners() for box in self._assembly.parts[part].shape.boxes()])
-        overlaps = {
-            other: overlaps_along(own, cover, direction, APART)
-            for other, cover in enumerate(self._covers)
-            if other != part
-        }
-        ends = [np.array([SHORTEST])] + [each[:, 1] + BEYOND for each in overlaps.values()]
-        for length in np.unique(np.concatenate(ends)).tolist():
-            if length < SHORTEST:
-                continue
-            if length > self._travel + APART:
+        Args:
+            way: straight on.
+            sweep: what is met on it.
+            up: what is met straight up.
+        """
+        assert way.direction is not None
+        if abs(way.direction[2]) > LEVEL or not up.hits:
+            return None
+        hits, above = dict(sweep.hits), {body for body, _ in up.hits}
+        own = raised(self._own(stand), self._travel)
+        for _ in range(TURNINGS):
+            turn = ending(own, only(self._covers, sorted(above)), way.direction, hits, self._travel)
+            met = {body for body, after in hits.items() if after <= turn.length}
+            if turn.near or self._blockers(met) is None:
+                return None
+            T = stand.T.copy()
+            T[:3, 3] += turn.length * way.direction
+            parted = [pair for pair, after in sweep.parted.items() if after <= turn.length]
+            last = self._along(self._stand(stand.part, T), UP, parted=parted)
+            if last.blockers is not None and not self._is_above(last, above):
                 break
-            if all(
-                hits.get(other, math.inf) <= length or not ((each[:, 0] < length) & (length < each[:, 1])).any()
-                for other, each in overlaps.items()
-            ):
-                blockers = 0
-                for other, after in hits.items():
-                    if after <= length:
-                        if other >= self._parts or self._assembly.parts[other].fixed:
-                            return length, None
-                        blockers |= 1 << other
-                return length, blockers
-        return self._travel, None
+            above |= {body for body, _ in last.hits}
+        if last.blockers is None:
+            return None
+        poses = np.concatenate([stand.T[None], last.poses])
+        told = [(body, after) for body, after in sweep.hits if after <= turn.length]
+        told += [(body, turn.length + after) for body, after in last.hits if body not in met]
+        found = Exit("pushes", poses, self._blockers(met | {body for body, _ in last.hits}), None, tuple(told))
+        worse = way.blockers is not None and _is_no_worse(way, found)
+        return None if worse else found
 
-
-def _bounds(boxes: Sequence[Array]) -> Array:
-    """(K, 2, 3) m: axis-aligned bounds of boxes by their corners."""
-    return np.array([[corners.min(axis=0), corners.max(axis=0)] for corners in boxes])
+    def _is_above(self, last: Exit, above: Collection[int]) -> bool:
+        """Whether a way up still meets what it could have been moved further away from."""
+        return any(body not in above for body, _ in last.hits)
 
 
 def _product(assembly: Assembly) -> Array:
@@ -227,11 +252,26 @@ def _product(assembly: Assembly) -> Array:
     return np.concatenate(corners)
 
 
+def _stuck(ways: dict[int, tuple[Exit, ...]]) -> int:
+    """State of the parts that cannot leave in any order, whatever else keeps them."""
+    state = sum(1 << part for part in ways)
+    while True:
+        free = [
+            part
+            for part in members(state)
+            if any(way.blockers is not None and not way.blockers & state for way in ways[part])
+        ]
+        if not free:
+            return state
+        state &= ~sum(1 << part for part in free)
+
+
 def _preference(way: Exit) -> tuple[int, int, float, float]:
     """Few blockers first, then upwards, then short."""
-    assert way.blockers is not None and way.direction is not None
-    down = int(way.direction[2] < -0.05)
-    return way.blockers.bit_count(), down, round(-float(way.direction[2]), 6), round(_length(way), 6)
+    assert way.blockers is not None
+    length = _length(way)
+    rise = float(way.poses[-1, 2, 3] - way.poses[0, 2, 3]) / length
+    return way.blockers.bit_count(), int(rise < -0.05), round(-rise, 6), round(length, 6)
 
 
 def _is_no_worse(other: Exit, way: Exit) -> bool:
@@ -241,7 +281,7 @@ def _is_no_worse(other: Exit, way: Exit) -> bool:
 
 
 def _length(way: Exit) -> float:
-    return float(np.linalg.norm(way.poses[-1, :3, 3] - way.poses[0, :3, 3]))
+    return math.fsum(np.linalg.norm(np.diff(way.poses[:, :3, 3], axis=0), axis=1))
 
 
 def _is_new(direction: Array, known: Sequence[Array]) -> bool:

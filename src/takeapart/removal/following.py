@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
+from itertools import pairwise
 
 import numpy as np
 
 from takeapart.model.geometry import Array, pose_inverse
 from takeapart.removal.exits import Exit
+from takeapart.removal.poses import close_poses, moved_at_most
 
 ROUNDING = 12  # decimals, m, to which a straight way is known: the difference of two poses
 
@@ -30,15 +31,20 @@ def motion_of(way: Exit, spacing: float, radius: float) -> Array:
         shift = _straight(way)
         count = max(1, round(np.ceil(float(np.linalg.norm(shift)) / spacing)))
         return _shifts(np.array([shift * k / count for k in range(count + 1)]))
-    kept, moved = [0], 0.0
-    for k in range(1, len(way.poses)):
-        step = _moved(way.poses[k - 1], way.poses[k], radius)
-        if moved > 0 and moved + step > spacing:
-            kept.append(k - 1)
+    kept, moved = [way.poses[0]], 0.0
+    for before, after in pairwise(way.poses):
+        if np.array_equal(before[:3, :3], after[:3, :3]):  # the ends of straight pieces stay corners
+            kept += [before] if moved > 0.0 else []
+            kept += close_poses(np.array([before, after]), spacing, radius)[1:]
+            moved = 0.0
+            continue
+        step = moved_at_most(before, after, radius)
+        if moved > 0.0 and moved + step > spacing:
+            kept.append(before)
             moved = 0.0
         moved += step
-    kept.append(len(way.poses) - 1)
-    return np.ascontiguousarray((way.poses[kept] @ pose_inverse(way.poses[0]))[:, :3])
+    kept += [way.poses[-1]] if moved > 0.0 else []
+    return np.ascontiguousarray((np.array(kept) @ pose_inverse(way.poses[0]))[:, :3])
 
 
 def lead_lengths(way: Exit, points: Array) -> Array:
@@ -59,9 +65,3 @@ def _shifts(shifts: Array) -> Array:
     motion[:, :3, :3] = np.eye(3)
     motion[:, :, 3] = shifts
     return motion
-
-
-def _moved(T_a: Array, T_b: Array, radius: float) -> float:
-    """How far any point of a part moves at most between two poses, m."""
-    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
-    return float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])) + radius * math.acos(min(1.0, max(-1.0, cosine)))

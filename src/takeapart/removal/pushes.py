@@ -10,14 +10,14 @@ import heapq
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from takeapart.collision.contact import MARGIN, Contacts
-from takeapart.collision.fields import Field, least_distance
 from takeapart.collision.screws import Screw
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import Array, pose_inverse
+from takeapart.model.geometry import Array
+from takeapart.removal.surroundings import Stand, Surroundings
 
 MOST_POSES = 24  # of a part that are looked at
 MOST_PUSHES = 4
@@ -27,81 +27,88 @@ SAME_PLACE, SAME_TURN = 1e-3, math.radians(3)  # poses that differ by less are o
 STOPS = 4  # of a push on its way, where a straight way out is looked for as well
 POSE_STEP = math.radians(2)  # between the poses of a turn that is handed on
 
+Out = TypeVar("Out")
+
 
 @dataclass(frozen=True)
 class Way:
-    """A motion that frees a part.
+    """A motion after which a part may leave straight.
 
     Args:
-        poses: (K, 4, 4) T_world_part, the first as assembled, the last where the straight way out begins.
+        poses: (K, 4, 4) T_world_part, the first as assembled, without the last.
+        end: (4, 4) where the straight way out begins.
         direction: (3,) of the straight way out.
+        turns: whether it goes along a thread.
     """
 
     poses: Array
+    end: Array
     direction: Array
+    turns: bool = False
 
 
-def pushed_free(
-    assembly: Assembly,
-    contacts: Contacts,
-    part: int,
-    others: Sequence[int],
-    obstacles: Sequence[Field],
-    directions: Sequence[Array],
-    is_free: Callable[[Array, Array], bool],
-) -> Way | None:
-    """Pushes that bring a part to where it leaves straight; None where none are found.
+class Pushes:
+    """Pushes that bring a part to where it leaves straight.
 
     Args:
-        others: parts that stand in the way.
-        obstacles: boxes of the environment, in the world; the part may lie on them.
-        directions: (3,) unit vectors along which the part is pushed and may leave.
-        is_free: whether the part leaves straight from a pose (4, 4) along a direction.
+        surroundings: of the product.
+        part: its number.
+        others: bodies that stand in the way; the part may touch what it touches as drawn.
+        directions: (3,) unit vectors along which the part may leave.
+
+    Attributes:
+        count: pushes that were tried so far.
     """
-    start = assembly.parts[part].T_world_part
-    body = assembly.parts[part].shape.bounding_box()
-    reach = float(np.linalg.norm(body.half_extents))
-    axes = body.moved(start).T_frame_box[:3, :3]
-    longest = 4 * reach
-    queue: list[tuple[int, int, Array, list[Array]]] = [(0, 0, start, [start])]
-    seen = [start]
-    count, looked_at = 0, 0
-    while queue and looked_at < MOST_POSES:
-        pushes, _, T, path = heapq.heappop(queue)
-        looked_at += 1
-        middle = T[:3, :3] @ body.T_frame_box[:3, 3] + T[:3, 3]
-        for screw, length, lever in _moves(axes, middle, longest, reach):
-            stopped = stop(assembly, contacts, part, T, others, obstacles, screw, length)
-            stopped = length if stopped >= length else stopped - BACK / lever
-            if stopped * lever < LEAST_PUSH:
-                continue
-            for k in range(STOPS, 0, -1):
-                s = stopped * k / STOPS
-                reached = screw.pose(s) @ T
-                if any(_same(reached, other) for other in seen):
+
+    def __init__(
+        self, surroundings: Surroundings, part: int, others: Sequence[int], directions: Sequence[Array]
+    ) -> None:
+        self._around, self._part, self._others, self._directions = surroundings, part, others, directions
+        self.count = 0
+
+    def free(self, out: Callable[[Way], Out | None]) -> Out | None:
+        """What `out` makes of the first way that it takes; None where it takes none of those that were tried."""
+        body = self._around.assembly.parts[self._part]
+        start, box = body.T_world_part, body.shape.bounding_box()
+        reach = float(np.linalg.norm(box.half_extents))
+        axes = box.moved(start).T_frame_box[:3, :3]
+        longest = 4 * reach
+        queue: list[tuple[int, int, Array, list[Array]]] = [(0, 0, start, [start])]
+        seen = [start]
+        queued, looked_at = 0, 0
+        while queue and looked_at < MOST_POSES:
+            pushes, _, T, path = heapq.heappop(queue)
+            looked_at += 1
+            stand, middle = self._around.stand(self._part, T), T[:3, :3] @ box.T_frame_box[:3, 3] + T[:3, 3]
+            for screw, length, lever in _moves(axes, middle, longest, reach):
+                self.count += 1
+                stopped = stand.stop(screw, length, self._others)
+                stopped = length if stopped >= length else stopped - BACK / lever
+                if stopped * lever < LEAST_PUSH:
                     continue
-                seen.append(reached)
-                way = [*path, *_between(screw, s, T)]
-                for direction in directions:
-                    if is_free(reached, direction):
-                        return Way(np.array(way), direction)
-                if pushes + 1 < MOST_PUSHES and k == STOPS:
-                    count += 1
-                    heapq.heappush(queue, (pushes + 1, count, reached, way))
-    return None
+                for k in range(STOPS, 0, -1):
+                    s = stopped * k / STOPS
+                    reached = screw.pose(s) @ T
+                    if any(_same(reached, other) for other in seen):
+                        continue
+                    seen.append(reached)
+                    way = [*path, *_between(screw, s, T)]
+                    poses = np.array(way[:-1])
+                    for direction in self._directions:
+                        found = out(Way(poses, reached, direction))
+                        if found is not None:
+                            return found
+                    if pushes + 1 < MOST_PUSHES and k == STOPS:
+                        queued += 1
+                        heapq.heappush(queue, (pushes + 1, queued, reached, way))
+        return None
 
 
-def unscrewed(
-    assembly: Assembly,
-    contacts: Contacts,
-    part: int,
-    others: Sequence[int],
-    obstacles: Sequence[Field],
-    is_free: Callable[[Array, Array], bool],
-) -> Way | None:
-    """Turns along a thread with a known pitch until the part leaves straight along it; None where there is none."""
+def unscrewed(assembly: Assembly, stand: Stand, others: Sequence[int], out: Callable[[Way], Out | None]) -> Out | None:
+    """What `out` makes of the turns along a thread with a known pitch after which the part leaves straight along it;
+    None where there are none."""
+    part, start = stand.part, stand.T
     name = assembly.parts[part].name
-    start = assembly.parts[part].T_world_part
     for joint in assembly.joints:
         if joint.kind != "screw" or joint.pitch == 0.0 or name not in (joint.first, joint.second):
             continue
@@ -109,43 +116,13 @@ def unscrewed(
         turn = math.copysign(2 * math.pi, joint.pitch)
         screw = Screw(outward * abs(joint.pitch), turn, outward, joint.points.mean(axis=0))
         most = 4 * float(np.linalg.norm(assembly.parts[part].shape.bounding_box().half_extents)) / abs(joint.pitch)
-        stopped = stop(assembly, contacts, part, start, others, obstacles, screw, most)
+        stopped = stand.stop(screw, most, others)
         for turns in np.arange(0.25, stopped, 0.25).tolist():
-            if is_free(screw.pose(turns) @ start, outward):
-                return Way(np.array([start, *_between(screw, turns, start)]), outward)
+            *poses, end = [start, *_between(screw, turns, start)]
+            found = out(Way(np.array(poses), end, outward, turns=True))
+            if found is not None:
+                return found
     return None
-
-
-def stop(
-    assembly: Assembly,
-    contacts: Contacts,
-    part: int,
-    T: Array,
-    others: Sequence[int],
-    obstacles: Sequence[Field],
-    screw: Screw,
-    length: float,
-) -> float:
-    """How far, in the parameter of a motion, a part goes from a pose until it meets one of others."""
-    body = contacts.body(part)
-    nearest = length
-    for other in others:
-        theirs, T_other = contacts.body(other), assembly.parts[other].T_world_part
-        kept = -contacts.tolerance(part, other)
-        back = pose_inverse(T_other)
-        points = _placed(body.points, back @ T)
-        nearest = screw.seen_from(back).travel(theirs.field, points, nearest, kept)
-        mine = pose_inverse(T)
-        came = screw.seen_from(mine).backwards()
-        nearest = came.travel(body.field, _placed(theirs.points, mine @ T_other), nearest, kept)
-    for box in obstacles:
-        points = _placed(body.points, T)
-        nearest = screw.travel(box, points, nearest, min(0.0, least_distance(box, points)) - MARGIN)
-    return nearest
-
-
-def _placed(points: Array, T: Array) -> Array:
-    return np.ascontiguousarray(points @ T[:3, :3].T + T[:3, 3])
 
 
 def _moves(axes: Array, middle: Array, longest: float, reach: float) -> list[tuple[Screw, float, float]]:

@@ -201,7 +201,14 @@ class Reasons:
                 for name, after in hits:
                     first[name] = min(after, first.get(name, after))
         hits = sorted(first.items(), key=lambda hit: hit[1])
+        found = self._planner.exits.exits(blocked.part)
+        for way in found:
+            if way.near and not way.hits and way.direction is not None:
+                name, distance = self._bodies[way.near[0][0]], way.near[0][1]
+                told.append(f"{_direction(way.direction)} it stays within {millimetres(distance)} of {name}")
         text = f"no straight way out is free: {'; '.join(told[:MOST_DIRECTIONS])}" if told else "no way out is free"
+        pushes = max((way.pushes for way in found), default=0)
+        text += f"; none found in {pushes} pushes" if pushes else ""
         blamed = self._blamed(blocked, [(way.blockers or 0) & self._permanent & present for way in ways])
         return Reason("lift", "lift", text, (("directions", len(ways)),), tuple(hits), blamed)
 
