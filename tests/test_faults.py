@@ -136,7 +136,10 @@ def test_a_run_without_any_order_is_recalled(tmp_path: Path) -> None:
     first = plan(far, scene_workcell(), OPTIONS, run=tmp_path)
     assert not isinstance(first, Plan)
     with counted(0):
-        assert plan(far, scene_workcell(), OPTIONS, run=tmp_path) == first
+        again = plan(far, scene_workcell(), OPTIONS, run=tmp_path)
+    assert not isinstance(again, Plan) and again == first
+    assert first.deepest is not None and again.deepest is not None
+    assert again.deepest.state == first.deepest.state == 0b11000 and not again.deepest.removals
     assert not (tmp_path / "plan.json").exists()
 
 

@@ -498,7 +498,8 @@ def test_names_and_counts_in_words() -> None:
 def test_a_long_list_of_reasons_begins_with_those_that_wait_for_nobody() -> None:
     waiting = [Hindrance(f"w{k}", Reason("stability", "gravity", "without it x would fall")) for k in range(7)]
     heavy = Hindrance("heavy", Reason("grasp", "weight", "weighs 4 kg, 1 kg more than the payload of 3 kg"))
-    told = str(Infeasible(tuple("abcdefgh"), (*waiting, heavy), True))
+    remaining = tuple(each.part for each in (*waiting, heavy))
+    told = str(Infeasible(remaining, (*waiting, heavy), True))
     assert told.startswith("no feasible order; with 8 parts left: heavy: weighs 4 kg")
     assert told.endswith("w4: without it x would fall (stage stability); and 2 more")
     text = str(Infeasible(("a",), (heavy,), False))

@@ -111,15 +111,15 @@ class Infeasible:
         remaining: names of the parts left.
         hindrances: per part.
         proved: whether every sequence was excluded for the removals the planner finds (else the budget ran out first).
-        deepest: the removals that lead there; None where none were asked for.
+        deepest: the removals that lead there; None where none were asked for. It and `partial` are not compared.
         partial: the same as a plan, which ends with these parts left; None if no part leaves.
     """
 
     remaining: tuple[str, ...]
     hindrances: tuple[Hindrance, ...]
     proved: bool
-    deepest: Deepest | None = None
-    partial: Plan | None = None
+    deepest: Deepest | None = field(default=None, compare=False)
+    partial: Plan | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         first = "no feasible order" if self.proved else "no feasible order found within the budget"
