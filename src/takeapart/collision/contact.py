@@ -123,7 +123,11 @@ class Contacts:
         parts = self._assembly.parts
         T = pose_inverse(parts[b].T_world_part) @ parts[a].T_world_part
         least = min(NEAR, _least_distance(self.body(b), self.body(a).cloud, T))
-        return min(least, _least_distance(self.body(a), self.body(b).cloud, pose_inverse(T)))
+        least = min(least, _least_distance(self.body(a), self.body(b).cloud, pose_inverse(T)))
+        if least >= 0.0:
+            return least
+        there = _deepest(self.body(b), self.body(a).points, T)
+        return min(least, there, _deepest(self.body(a), self.body(b).points, pose_inverse(T)))
 
     @cached_property
     def _by_pair(self) -> Mapping[tuple[int, int], PairFinding]:
@@ -185,6 +189,16 @@ def _least_distance(body: Body, cloud: Cloud, T: Array) -> float:
     points = points_below(field, cloud, T, min(NEAR, limit))
     exact = distances(points, body.tree, NEAR)
     return float((np.sign(signed_distances(field, points)) * exact).min())
+
+
+def _deepest(body: Body, points: Array, T: Array) -> float:
+    """As `_least_distance` of points (N, 3) all over a surface, of which clouds have few where it is flat: they may all
+    lie beside the place where another body reaches in deepest."""
+    inside = points @ T[:3, :3].T + T[:3, 3]
+    signed = signed_distances(body.field, np.ascontiguousarray(inside))
+    if body.field.step == 0.0 or not (signed < 0.0).any():
+        return float(signed.min())
+    return -float(distances(np.ascontiguousarray(inside[signed < 0.0]), body.tree, NEAR).max())
 
 
 def body_of(shape: Shape) -> Body:
