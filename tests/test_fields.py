@@ -11,10 +11,10 @@ import trimesh
 from mesh_cases import case
 from takeapart.collision.bounds import overlaps_along
 from takeapart.collision.contact import Contacts, body_of
-from takeapart.collision.fields import FIELD_ERROR, field_of, mesh_field, signed_distances, surface_points
+from takeapart.collision.fields import FIELD_ERROR, Field, field_of, mesh_field, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, cloud_hit
 from takeapart.collision.points import cloud_of
-from takeapart.collision.sweep import first_hit
+from takeapart.collision.sweep import LEAST_STEP
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, TriangleMesh, pose
@@ -31,6 +31,18 @@ def shape_of(mesh: trimesh.Trimesh) -> Mesh:
 
 def ring(inner: float, outer: float, height: float) -> trimesh.Trimesh:
     return trimesh.creation.annulus(inner, outer, height, sections=64)
+
+
+def first_hit(field: Field, points: Array, direction: Array, kept: float, travel: float) -> float:
+    """By stepping every point as far as it is away: without a tree, without normals."""
+    nearest, at = np.inf, np.zeros(len(points))
+    while len(points):
+        away = signed_distances(field, np.ascontiguousarray(points + at[:, None] * direction)) - kept
+        nearest = min(nearest, at[away < 0.0].min(initial=np.inf))
+        at = np.where(away < 0.0, np.inf, at + np.maximum(away, LEAST_STEP))
+        going = at <= min(travel, nearest)
+        points, at = points[going], at[going]
+    return nearest
 
 
 def product(*parts: Part) -> Assembly:

@@ -12,7 +12,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from takeapart.collision import bounds, fields, grids, meeting, parting, points, screws, sweep, triangles
+from takeapart.collision import bounds, fields, grids, meeting, parting, points, screws, triangles
 from takeapart.compilation import LeanKernel
 from takeapart.motion import blockers, edges, legs, lifts, rrt, scene, smooth
 from takeapart.removal import contact_maps
@@ -135,7 +135,6 @@ def units(orders: bool) -> dict[str, Unit]:
         (meeting.cloud_hit, (field, cloud, two, one, 0.0, 0.0)),
         (grids._count_crossings, (three, one, 0.0, 0, counts)),
         (screws._travel, (field, two, example(screws.ScrewArrays), 0.0, 0.0)),
-        (sweep.first_hit, (field, two, one, 0.0, 0.0)),
         (parting.parted_after, (field, two, one, 0.0, 0.0, 0.0)),
         (parting.nearer_than, (field, two, two, 0.0)),
         (meeting.points_below, (field, cloud, two, 0.0)),

@@ -187,18 +187,23 @@ def _least_distance(body: Body, cloud: Cloud, T: Array) -> float:
     if least > 0.99 * field.band or limit < -0.99 * field.band:  # beyond the band it knows only bounds
         limit = NEAR if least > 0 else -0.99 * field.band
     points = points_below(field, cloud, T, min(NEAR, limit))
-    exact = distances(points, body.tree, NEAR)
-    return float((np.sign(signed_distances(field, points)) * exact).min())
+    return _least_exactly(body, points, signed_distances(field, points))
 
 
 def _deepest(body: Body, points: Array, T: Array) -> float:
     """As `_least_distance` of points (N, 3) all over a surface, of which clouds have few where it is flat: they may all
     lie beside the place where another body reaches in deepest."""
-    inside = points @ T[:3, :3].T + T[:3, 3]
-    signed = signed_distances(body.field, np.ascontiguousarray(inside))
-    if body.field.step == 0.0 or not (signed < 0.0).any():
+    placed = np.ascontiguousarray(points @ T[:3, :3].T + T[:3, 3])
+    signed = signed_distances(body.field, placed)
+    inside = signed < 0.0
+    if body.field.step == 0.0 or not inside.any():
         return float(signed.min())
-    return -float(distances(np.ascontiguousarray(inside[signed < 0.0]), body.tree, NEAR).max())
+    return _least_exactly(body, np.ascontiguousarray(placed[inside]), signed[inside])
+
+
+def _least_exactly(body: Body, points: Array, signed: Array) -> float:
+    """Least distance of points (N, 3) by a body's triangles, m, on the sides that its field tells."""
+    return float((np.sign(signed) * distances(points, body.tree, NEAR)).min())
 
 
 def body_of(shape: Shape) -> Body:

@@ -9,7 +9,7 @@ import numpy as np
 
 from takeapart.collision.fields import Field, signed_distance
 from takeapart.collision.points import IN_LEAF, Cloud
-from takeapart.collision.sweep import LEAST_STEP, entry
+from takeapart.collision.sweep import LEAST_STEP, entry, placed_point
 from takeapart.collision.triangles import DEEPEST
 from takeapart.compilation import compiled, compiled_lean
 from takeapart.model.geometry import Array
@@ -63,10 +63,7 @@ def cloud_hit(field: Field, cloud: Cloud, T: Array, direction: Array, kept: floa
             two = cloud.facing[i, 3] * back[0] + cloud.facing[i, 4] * back[1] + cloud.facing[i, 5] * back[2]
             if max(one, two) < -cloud.facing[i, 6]:
                 continue
-            px, py, pz = cloud.points[i, 0], cloud.points[i, 1], cloud.points[i, 2]
-            qx = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-            qy = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-            qz = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            qx, qy, qz = placed_point(T, cloud.points, i)
             limit = min(travel, nearest - LEAST_STEP)
             t = max(start, entry(field, qx, qy, qz, direction, kept, limit))
             while t <= limit:
@@ -97,10 +94,8 @@ def _ball_entry(
     facing = cloud.cones[node, 0] * back[0] + cloud.cones[node, 1] * back[1] + cloud.cones[node, 2] * back[2]
     if facing < -cloud.cones[node, 3]:
         return math.inf
-    px, py, pz, radius = cloud.balls[node, 0], cloud.balls[node, 1], cloud.balls[node, 2], cloud.balls[node, 3]
-    x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-    y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+    radius = cloud.balls[node, 3]
+    x, y, z = placed_point(T, cloud.balls, node)
     t = max(start, entry(field, x, y, z, direction, kept + radius, limit))
     close = LOOSE * radius + LEAST_STEP
     while t <= limit:
@@ -139,10 +134,7 @@ def cloud_distance(field: Field, cloud: Cloud, T: Array, most: float) -> float:
             continue
         first = (node - cloud.leaves) * IN_LEAF
         for i in range(first, min(first + IN_LEAF, len(cloud.points))):
-            px, py, pz = cloud.points[i, 0], cloud.points[i, 1], cloud.points[i, 2]
-            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            x, y, z = placed_point(T, cloud.points, i)
             least = min(least, signed_distance(field, x, y, z))
     return least
 
@@ -150,10 +142,7 @@ def cloud_distance(field: Field, cloud: Cloud, T: Array, most: float) -> float:
 @compiled_lean
 def _ball_distance(field: Field, balls: Array, T: Array, node: int) -> float:
     """No point of a node is nearer than this, m."""
-    px, py, pz = balls[node, 0], balls[node, 1], balls[node, 2]
-    x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-    y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-    z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+    x, y, z = placed_point(T, balls, node)
     return signed_distance(field, x, y, z) - balls[node, 3]
 
 
@@ -178,10 +167,7 @@ def points_below(field: Field, cloud: Cloud, T: Array, limit: float) -> Array:
             continue
         first = (node - cloud.leaves) * IN_LEAF
         for i in range(first, min(first + IN_LEAF, len(cloud.points))):
-            px, py, pz = cloud.points[i, 0], cloud.points[i, 1], cloud.points[i, 2]
-            x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-            y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-            z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+            x, y, z = placed_point(T, cloud.points, i)
             if signed_distance(field, x, y, z) < limit:
                 found[listed, 0], found[listed, 1], found[listed, 2] = x, y, z
                 listed += 1

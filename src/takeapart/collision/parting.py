@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from takeapart.collision.fields import Field, signed_distance
-from takeapart.collision.sweep import LEAST_STEP
+from takeapart.collision.sweep import LEAST_STEP, placed_point
 from takeapart.compilation import compiled
 from takeapart.model.geometry import Array
 
@@ -39,13 +39,7 @@ def nearer_than(field: Field, points: Array, T_field_points: Array, limit: float
     """Whether any of points (N, 3), placed by T (4, 4), is nearer to the surface than a limit, m."""
     T = T_field_points
     for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        distance = signed_distance(
-            field,
-            T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
-            T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
-            T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
-        )
-        if distance < limit:
+        x, y, z = placed_point(T, points, i)
+        if signed_distance(field, x, y, z) < limit:
             return True
     return False

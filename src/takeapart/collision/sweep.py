@@ -1,40 +1,25 @@
-"""How far a part moves along a direction until it meets another, by the fields of both."""
+"""Points on their way into a field."""
 
 from __future__ import annotations
 
 import math
 
-from takeapart.collision.fields import Field, signed_distance
-from takeapart.compilation import compiled, compiled_lean
+from takeapart.collision.fields import Field
+from takeapart.compilation import compiled_lean
 from takeapart.model.geometry import Array
 
 LEAST_STEP = 2e-4  # m, in contact
 
 
-@compiled
-def first_hit(field: Field, points: Array, direction: Array, kept: float, travel: float) -> float:
-    """How far points (N, 3) of the field's frame go along a direction (3,) until one of them is nearer than `kept`, m,
-    to the surface; infinite where none is within `travel`, m.
-
-    A point steps as far as it is away, at least `LEAST_STEP`. What is too near at the start may go on as long as it
-    does not come nearer.
-
-    Args:
-        kept: negative where an overlap is tolerated.
-    """
-    nearest = math.inf
-    dx, dy, dz = direction[0], direction[1], direction[2]
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        limit = min(travel, nearest)
-        t = entry(field, x, y, z, direction, kept, limit)
-        while t <= limit:
-            away = signed_distance(field, x + t * dx, y + t * dy, z + t * dz) - kept
-            if away < 0.0:
-                nearest = t
-                break
-            t += max(away, LEAST_STEP)
-    return nearest
+@compiled_lean
+def placed_point(T: Array, points: Array, k: int) -> tuple[float, float, float]:
+    """Point k, m, placed by T (4, 4); its row may hold more than coordinates."""
+    x, y, z = points[k, 0], points[k, 1], points[k, 2]
+    return (
+        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+    )
 
 
 @compiled_lean

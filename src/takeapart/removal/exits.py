@@ -230,7 +230,7 @@ class Exits:
             T[:3, 3] += turn.length * way.direction
             parted = [pair for pair, after in sweep.parted.items() if after <= turn.length]
             last = self._along(self._stand(stand.part, T), UP, parted=parted)
-            if last.blockers is not None and not self._is_above(last, above):
+            if last.blockers is not None and all(body in above for body, _ in last.hits):
                 break
             above |= {body for body, _ in last.hits}
         if last.blockers is None:
@@ -241,10 +241,6 @@ class Exits:
         found = Exit("pushes", poses, self._blockers(met | {body for body, _ in last.hits}), None, tuple(told))
         worse = way.blockers is not None and _is_no_worse(way, found)
         return None if worse else found
-
-    def _is_above(self, last: Exit, above: Collection[int]) -> bool:
-        """Whether a way up still meets what it could have been moved further away from."""
-        return any(body not in above for body, _ in last.hits)
 
 
 def _product(assembly: Assembly) -> Array:
