@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
@@ -99,7 +100,7 @@ class Exits:
         if part not in self._exits:
             ways = self._of(part)
             if ways and not any(way.blockers == 0 for way in ways):
-                ways = self._untangled().get(part, ways)
+                ways = self._untangled.get(part, ways)
             self._exits[part] = ways
         return self._exits[part]
 
@@ -129,6 +130,7 @@ class Exits:
                 kept.append(way)
         return tuple(kept[:MOST_EXITS])
 
+    @cached_property
     def _untangled(self) -> dict[int, tuple[Exit, ...]]:
         """The exits of parts that wait for each other: of these pushes are tried among those alone that no order
         frees."""
