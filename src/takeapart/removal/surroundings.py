@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from takeapart.collision.bounds import overlaps_along
 from takeapart.collision.contact import MARGIN, Contacts, body_of
 from takeapart.collision.fields import Field
 from takeapart.collision.meeting import cloud_distance, cloud_hit
@@ -30,6 +31,7 @@ ON_OBSTACLE = 1e-4  # m, by which a part may come nearer to an obstacle on which
 SLACK = 5e-5  # m, less than the clearance: what stands as far off as that as drawn may stay there
 STANDING = 1e-5  # m, by which what stands at about the clearance may come nearer
 NOISE = 3e-5  # m, around the clearance: two bodies part above, and are too near again below
+FIELD_SLACK = 1e-3  # m, by which fields may tell what is far as nearer
 LOOK_STEP = 1e-3  # m; no point of a part moves further between two poses of its way that are looked at
 
 BETWEEN_LOOKS = LEAST_STEP / 2  # m, by which overlaps exceed what is tolerated where motions are looked at in steps
@@ -279,15 +281,14 @@ class Stand:
         Args:
             parted: pieces that touched as drawn, and have come apart before.
         """
-        around, low, high = self._around, *self.bounds
-        swept = np.minimum(low, low + travel * direction), np.maximum(high, high + travel * direction)
+        around, own = self._around, self.bounds[None]
         hits: dict[int, float] = {}
         apart: dict[Pair, float] = {}
         for other, piece in enumerate(around.pieces):
-            kept = around.clearance
             if piece.owner == self.part:
                 continue
-            if (piece.bounds[0] > swept[1] + kept).any() or (piece.bounds[1] < swept[0] - kept).any():
+            near = overlaps_along(own, piece.bounds[None], direction, around.clearance + FIELD_SLACK)
+            if not len(near) or near[0, 0] > travel:
                 continue
             for mine in around.of[self.part]:
                 hit, separate = self._along((mine, other), direction, travel, parted)
