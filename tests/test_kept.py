@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from takeapart.collision.kept import keep_arrays, kept_arrays
 from takeapart.formats.files import load_workcell
 from takeapart.robot import covering
 from takeapart.robot.kept import keep, kept
@@ -61,3 +65,27 @@ def test_a_robot_is_the_same_from_kept_arrays_and_from_damaged_ones(folder: Path
     assert first.pairs == again.pairs
     for before, after in zip(first.arm, again.arm, strict=True):
         np.testing.assert_array_equal(before, after)
+
+
+def test_threads_read_at_once(folder: Path) -> None:
+    """Python 3.11 fails where another thread parses while the collector of garbage runs in the middle of parsing, and
+    numpy parses the head of its files."""
+    keep("name", np.arange(3.0))
+    keep_arrays("names", {"first": np.arange(3.0), "second": np.eye(2)})
+
+    def give_way(phase: str, info: dict[str, int]) -> None:
+        time.sleep(0)
+
+    before = gc.get_threshold()
+    gc.callbacks.append(give_way)
+    gc.set_threshold(20)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            single = [pool.submit(kept, "name") for _ in range(200)]
+            several = [pool.submit(kept_arrays, "names", {"first": 1, "second": 2}) for _ in range(100)]
+    finally:
+        gc.set_threshold(*before)
+        gc.callbacks.remove(give_way)
+    for job in single:
+        np.testing.assert_array_equal(job.result(), np.arange(3.0))
+    assert all(found is not None and found["second"].shape == (2, 2) for found in (job.result() for job in several))

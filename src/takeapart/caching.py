@@ -15,12 +15,20 @@ import os
 import pwd
 import stat
 import tempfile
+import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from takeapart.model.errors import InputError
 
 VARIABLE = "TAKEAPART_CACHE"
+
+# numpy parses the head of its files as Python, and CPython 3.11 raises a SystemError where two threads parse at once.
+_parsing = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,33 @@ def unfitness(folder: Path) -> str:
     except OSError as error:
         return f"cannot be written ({(error.strerror or str(error)).lower()})"
     return ""
+
+
+def read_array(file: Path) -> NDArray[Any]:
+    """The array of an .npy file, from any thread.
+
+    Raises:
+        OSError, ValueError, EOFError: there is no such file, or it is damaged.
+    """
+    with _parsing:
+        found = np.load(file, allow_pickle=False)
+    if not isinstance(found, np.ndarray):
+        raise ValueError(f"{file} holds several arrays")
+    return found
+
+
+def read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of an .npz file by their names, from any thread.
+
+    Raises:
+        OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile: there is no such file, or it is damaged.
+    """
+    with _parsing:
+        found = np.load(file, allow_pickle=False)
+        if isinstance(found, np.ndarray):
+            raise ValueError(f"{file} holds a single array")
+        with found:
+            return dict(found)
 
 
 def _make(folder: Path) -> None:

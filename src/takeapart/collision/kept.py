@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.caching import cache_folder
+from takeapart.caching import cache_folder, read_arrays
 
 
 def kept_arrays(name: str, dimensions: Mapping[str, int]) -> dict[str, NDArray[Any]] | None:
     """The arrays kept under a name, each with as many dimensions as said; None where any is missing or damaged."""
     try:
-        with np.load(cache_folder() / f"{name}.npz", allow_pickle=False) as file:
-            found = {key: file[key] for key in dimensions}
+        kept = read_arrays(cache_folder() / f"{name}.npz")
+        found = {key: kept[key] for key in dimensions}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         return None
     return found if all(found[key].ndim == count for key, count in dimensions.items()) else None

@@ -16,7 +16,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.caching import cache_folder
+from takeapart.caching import cache_folder, read_array
 from takeapart.model.bounding import tight_box
 from takeapart.model.geometry import Array, OrientedBox, TriangleMesh
 from takeapart.model.revolving import revolved_cover
@@ -63,7 +63,7 @@ def cover_of(mesh: TriangleMesh) -> BoxCover:
 def _cover(vertices: bytes, triangles: bytes) -> BoxCover:
     file = cache_folder() / f"cover-{VERSION}-{hashlib.sha256(vertices + triangles).hexdigest()[:32]}.npy"
     try:
-        rows = np.load(file, allow_pickle=False)
+        rows = read_array(file)
     except (OSError, ValueError, EOFError):
         rows = np.empty((0, 0))
     if rows.ndim != 2 or rows.shape[1:] != (16,) or not len(rows) or not np.isfinite(rows).all():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.caching import cache_folder
+from takeapart.caching import cache_folder, read_array
 
 
 def kept(name: str) -> NDArray[Any] | None:
@@ -16,10 +16,9 @@ def kept(name: str) -> NDArray[Any] | None:
     type: whatever does not fit is made again.
     """
     try:
-        found = np.load(cache_folder() / f"{name}.npy", allow_pickle=False)
+        return read_array(cache_folder() / f"{name}.npy")
     except (OSError, ValueError, EOFError):
         return None
-    return found if isinstance(found, np.ndarray) else None
 
 
 def is_kept(name: str) -> bool:

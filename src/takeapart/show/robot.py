@@ -6,13 +6,14 @@ For pictures only. The planner has kinematics of its own (`takeapart.robot`), an
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.caching import cache_folder
+from takeapart.caching import cache_folder, read_arrays
 from takeapart.model.description import RobotDescription
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, OrientedBox, TriangleMesh, pose
@@ -190,12 +191,12 @@ def _simplified_meshes(urdf: Urdf, shape: Geometry) -> list[Mesh]:
     file = cache_folder() / f"look-2-{digest_of(urdf.files.resolve(shape.uri))[:24]}-{CELL * 1e4:.0f}{scale}.npz"
     if file.is_file():
         try:
-            with np.load(file, allow_pickle=False) as kept:
-                return [
-                    Mesh(kept[f"vertices{i}"], kept[f"faces{i}"], tuple(kept["colors"][i].tolist()))
-                    for i in range(len(kept["colors"]))
-                ]
-        except (OSError, ValueError, KeyError):
+            kept = read_arrays(file)
+            return [
+                Mesh(kept[f"vertices{i}"], kept[f"faces{i}"], tuple(kept["colors"][i].tolist()))
+                for i in range(len(kept["colors"]))
+            ]
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             pass  # a damaged cache is made again
     every = (
         simplified(mesh.vertices, mesh.faces.astype(np.int32), mesh.color or PLAIN)
