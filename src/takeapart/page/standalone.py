@@ -127,6 +127,7 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
         "goal": scene.workcell.goal.tolist(),
         "obstacles": [_box(o.box.T_frame_box, o.box.half_extents) for o in scene.workcell.environment],
         "floor": _floor(scene),
+        "path_radius": round(scene.path_radius, 5),
         "opening": scene.workcell.description.maximum_opening,
         "view": {
             "target": view.target.tolist(),

@@ -45,6 +45,7 @@ TURNING = 0.05  # m per rad: what turning counts of the way of the tool, as it i
 FINGERS_OPEN = 0.02  # m, how much wider than the grasp the gripper is shown before it closes
 LARGEST_MISS = 0.01  # m, of the tool from where its path says; more is a corrupted plan
 LAYOUT_GAP = 0.035  # m, between parts that are laid out
+PATH_SHARE, THINNEST_PATH, THICKEST_PATH = 0.008, 0.001, 0.004  # of the assembly's diagonal; m: radius of a tool path
 
 
 def rgb(color: str) -> Color:
@@ -251,6 +252,12 @@ class PlanScene:
             across += length + LAYOUT_GAP
             row_depth = max(row_depth, thick)
         return placed
+
+    @property
+    def path_radius(self) -> float:
+        """Of the line that shows a tool path, m: thin beside small products."""
+        low, high = self.bounds
+        return float(np.clip(PATH_SHARE * np.linalg.norm(high - low), THINNEST_PATH, THICKEST_PATH))
 
     @cached_property
     def reached(self) -> Array:

@@ -49,7 +49,7 @@ class Player {
     this.links = data.robot.links.map(link => link.meshes.map(mesh => ({ paint: mesh.color, shape: painter.mesh(mesh) })));
     this.hulls = data.robot.links.map(({ shadow }) => shadow
       && painter.shape(new Float32Array(bytes(shadow.positions)), null, new Uint16Array(bytes(shadow.faces))));
-    this.tubes = data.steps.map(step => painter.tube(step.path, 0.004));
+    this.tubes = data.steps.map(step => painter.tube(step.path, data.path_radius));
     this.goal = painter.boxes([[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.011, 0.011, 0.011]], () => color(data.colors.goal));
     this.controls();
     new ResizeObserver(() => this.draw()).observe(canvas);
