@@ -226,9 +226,7 @@ def _surface(surface: Surface) -> dict[str, Any]:
     return {"triangles": surface.triangles, **_triangles(surface.vertices, surface.normals, surface.faces)}
 
 
-def _triangles(
-    vertices: NDArray[np.float32], normals: NDArray[np.float32], faces: NDArray[np.int32]
-) -> dict[str, Any]:
+def _triangles(vertices: NDArray[np.float32], normals: NDArray[np.float32], faces: NDArray[np.int32]) -> dict[str, Any]:
     """Positions as 16-bit fractions of the bounding box, normals as bytes."""
     low = vertices.min(axis=0).astype(float)
     size = np.maximum(vertices.max(axis=0) - low, 1e-6)

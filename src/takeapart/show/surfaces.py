@@ -1,4 +1,4 @@
-"""Surfaces of parts as they are drawn: smooth where the tessellation was, sharp at edges, simpler where there is too much.
+"""Surfaces of parts as they are drawn: smooth where they curve, sharp at edges, simpler where there is too much.
 
 Whoever draws takes them from here, so that a part looks the same in pictures, viewer and page. Nothing but pictures is
 made of them: what is planned and verified is the shape itself.
@@ -21,9 +21,12 @@ from takeapart.show.robot import PLAIN, simplified
 MOST_DRAWN = 60_000  # triangles of one shape; one that has more is drawn with fewer
 MOST_TOGETHER = 400_000  # triangles of all shapes of a product
 CREASE = math.radians(40)  # edges sharper than this stay sharp
-MOST_AROUND = 256  # triangles at one corner: more are the middle of a disc or the tip of a cone, and nothing is smooth there
+MOST_AROUND = (
+    256  # triangles at one corner: more are the middle of a disc or the tip of a cone, and nothing is smooth there
+)
 NORMAL_STEPS = 127  # of a normal's coordinates, from 0 to 1
 FINEST_CELL, COARSEST_CELL = 1e-5, 0.125  # of the longest edge: of the grid in whose cells corners become one
+SLIVER = 1e-5  # height of a triangle by its longest edge; below, rounding decides where it faces
 TRIALS = 14  # of cells between these
 
 
@@ -81,8 +84,8 @@ def drawn_surface(vertices: Array, faces: NDArray[np.int32], most: int = MOST_DR
 
 
 def fewer(vertices: Array, faces: NDArray[np.int32], most: int) -> tuple[Array, NDArray[np.int32]]:
-    """The same surface with at most so many triangles, with as much detail as that allows: corners in one cell of a grid
-    become one, and the cells are as small as may be."""
+    """The same surface with at most so many triangles, and as much detail as that allows: corners in one cell of a
+    grid become one, and the cells are as small as may be."""
     low, high = np.array([FINEST_CELL, COARSEST_CELL]) * np.ptp(vertices, axis=0).max()
     best = simplified(vertices, faces, PLAIN, high)
     for _ in range(TRIALS):
@@ -111,7 +114,8 @@ def creased(
     faces = owner.ravel()[np.asarray(faces)]  # one place is one vertex, whoever wrote the mesh
     corners = places[faces]
     flat, weights = _flat_normals(corners), _angles(corners).ravel()
-    weights[np.repeat(~flat.any(axis=1), 3)] = 0.0  # of triangles without area
+    empty = ~flat.any(axis=1)  # triangles without area turn from nothing, and count for nothing
+    weights[np.repeat(empty, 3)] = 0.0
     place = faces.ravel()
     of_face = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(place, kind="stable")
@@ -121,12 +125,15 @@ def creased(
     one = np.repeat(np.arange(len(place)), around)
     within = np.arange(len(one)) - np.repeat(np.cumsum(around) - around, around)
     other = order[first[place[one]] + within]
-    near = np.einsum("ij,ij->i", flat[of_face[one]], flat[of_face[other]]) >= math.cos(angle)
+    alike = np.einsum("ij,ij->i", flat[of_face[one]], flat[of_face[other]]) >= math.cos(angle)
+    near = alike | empty[of_face[one]]
     one, other = one[near], other[near]
     share = flat[of_face[other]] * weights[other, None]
     sums = np.column_stack([np.bincount(one, weights=share[:, k], minlength=len(place)) for k in range(3)])
     smooth = np.linalg.norm(sums, axis=1, keepdims=True) > 1e-9
-    steps = np.round(_unit(np.where(smooth, sums, flat[of_face])) * NORMAL_STEPS).astype(np.int64)
+    chosen = _unit(np.where(smooth, sums, flat[of_face]))
+    chosen[~chosen.any(axis=1)] = (0.0, 0.0, 1.0)
+    steps = np.round(chosen * NORMAL_STEPS).astype(np.int64)
     width = 2 * NORMAL_STEPS + 1
     key = ((place * width + steps[:, 0] + NORMAL_STEPS) * width + steps[:, 1] + NORMAL_STEPS) * width + steps[:, 2]
     _, kept, number = np.unique(key, return_index=True, return_inverse=True)
@@ -139,7 +146,11 @@ def creased(
 
 def _flat_normals(corners: Array) -> Array:
     """Unit normals (F, 3) of triangles (F, 3, 3); of one without area, zero."""
-    return _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    edges = corners - np.roll(corners, 1, axis=1)
+    normals = np.cross(edges[:, 1], edges[:, 2])
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    normals[np.linalg.norm(normals, axis=1) < SLIVER * longest**2] = 0.0
+    return _unit(normals)
 
 
 def _angles(corners: Array) -> Array:

@@ -76,9 +76,7 @@ def draw_scene(server: Any, scene: PlanScene, on_click: Callable[[int], Callable
     return nodes
 
 
-def _bodies(
-    scene: PlanScene, part: int
-) -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.int32], Color, bool]]:
+def _bodies(scene: PlanScene, part: int) -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.int32], Color, bool]]:
     """What is drawn of a part: name, vertices, faces, colour, and whether its triangles are flat. Sharp edges of meshes
     have vertices of their own for each side; normals are made in the browser."""
     surface, (own, walls), color = scene.surface(part), scene.boxes(part), rgb(scene.colors[part])
