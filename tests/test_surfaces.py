@@ -60,6 +60,11 @@ def facts_of(assembly: Assembly) -> list[PartFacts]:
     return [PartFacts(part.name, role_of(part), (0.1, 0.1, 0.1), part.mass) for part in assembly.parts]
 
 
+def hash_of(part: Part) -> str:
+    assert isinstance(part.shape, Mesh)
+    return part.shape.hash
+
+
 def triangles_of(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[float, ...]]:
     """All triangles by their corners, whatever the corners are called and whichever comes first."""
     corners = np.asarray(vertices, dtype=np.float32)[np.asarray(faces)].reshape(-1, 9).tolist()
@@ -202,7 +207,7 @@ def test_a_large_shape_has_faces_of_four_bytes(monkeypatch: pytest.MonkeyPatch) 
     surface = Surface(*creased(vertices, faces), len(faces))
     assembly = product()
     scene = scene_of(assembly)
-    scene.surfaces[assembly.parts[3].shape.hash] = surface  # type: ignore[union-attr]
+    scene.surfaces[hash_of(assembly.parts[3])] = surface
     shape = document(scene, facts_of(assembly))["shapes"][2]
     assert shape["wide"] is True
     found, _, corners = unpacked(shape)
@@ -213,7 +218,7 @@ def test_a_page_says_how_much_simpler_a_shape_is_drawn(tmp_path: Path) -> None:
     assembly = product()
     scene = scene_of(assembly)
     ball = trimesh.creation.icosphere(4, 0.03)
-    name = assembly.parts[3].shape.hash  # type: ignore[union-attr]
+    name = hash_of(assembly.parts[3])
     scene.surfaces[name] = drawn_surface(np.asarray(ball.vertices), np.asarray(ball.faces), 1000)
     out = tmp_path / "page.html"
     out.write_text(page(scene, facts_of(assembly)))

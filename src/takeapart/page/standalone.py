@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 from takeapart.formats.bound_texts import explanation
 from takeapart.formats.documents import write_atomically
 from takeapart.formats.messages import shown
+from takeapart.formats.plan_texts import partial_claim, partial_text, straight_line_text, title_of
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array
+from takeapart.model.plan import Plan
 from takeapart.planning.run_journal import recorded_answers
 from takeapart.planning.runs import JOURNAL
 from takeapart.show.facts import PartFacts, part_facts, why_not_earlier
@@ -102,14 +104,16 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": VERSION,
-        "title": name if plan is None else f"{plan.direction.capitalize()} of {name}",
+        "title": name if plan is None else title_of(plan),
+        "partial": "" if plan is None else partial_text(plan),
+        "partial_claim": "" if plan is None else partial_claim(plan),
         "direction": scene.direction,
         "workcell": scene.workcell.name,
         "total": None if plan is None else plan.total_length,
         "bounds": {}
         if plan is None
         else {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
-        "bounds_note": "" if plan is None else explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
+        "bounds_note": "" if plan is None else _bounds_note(plan),
         "playback": {
             "note": PLAYBACK,
             "grip": GRIP,
@@ -137,6 +141,10 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
             "light": _numbers(view.beside_camera(LIGHT)),
         },
     }
+
+
+def _bounds_note(plan: Plan) -> str:
+    return explanation(straight_line_text(plan) if plan.straight_line_bound else "", bool(plan.sequence_bound))
 
 
 def facts_document(facts: PartFacts) -> dict[str, Any]:

@@ -78,7 +78,7 @@ def colors_of(assembly: Assembly) -> tuple[str, ...]:
     words = {role_of(part) for part in free}
     tells = len(words) > 1 or bool(words & set(ROLES))
     shapes = {_shape_of(part) for part in free}
-    known: dict[object, str] = dict(ROLES) | {"fixed": FIXED}
+    known: dict[object, str] = {**ROLES, "fixed": FIXED}
 
     def color(number: int, part: Part) -> str:
         role = role_of(part)

@@ -99,7 +99,7 @@ def fewer(vertices: Array, faces: NDArray[np.int32], most: int) -> tuple[Array, 
 
 
 def creased(
-    vertices: Array, faces: NDArray[np.int32], angle: float = CREASE
+    vertices: Array, faces: NDArray[np.integer], angle: float = CREASE
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (V, 3), m, normals (V, 3) and faces (F, 3) of a surface with sharp edges.
 
@@ -111,13 +111,13 @@ def creased(
         angle: rad.
     """
     places, owner = np.unique(np.asarray(vertices, dtype=float), axis=0, return_inverse=True)
-    faces = owner.ravel()[np.asarray(faces)]  # one place is one vertex, whoever wrote the mesh
-    corners = places[faces]
+    joined = owner.ravel()[faces]  # one place is one vertex, whoever wrote the mesh
+    corners = places[joined]
     flat, weights = _flat_normals(corners), _angles(corners).ravel()
-    empty = ~flat.any(axis=1)  # triangles without area turn from nothing, and count for nothing
+    empty = np.logical_not(flat.any(axis=1))  # triangles without area turn from nothing, and count for nothing
     weights[np.repeat(empty, 3)] = 0.0
-    place = faces.ravel()
-    of_face = np.repeat(np.arange(len(faces)), 3)
+    place = joined.ravel()
+    of_face = np.repeat(np.arange(len(joined)), 3)
     order = np.argsort(place, kind="stable")
     count = np.bincount(place, minlength=len(places))
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
@@ -126,7 +126,7 @@ def creased(
     within = np.arange(len(one)) - np.repeat(np.cumsum(around) - around, around)
     other = order[first[place[one]] + within]
     alike = np.einsum("ij,ij->i", flat[of_face[one]], flat[of_face[other]]) >= math.cos(angle)
-    near = alike | empty[of_face[one]]
+    near = np.logical_or(alike, empty[of_face[one]])
     one, other = one[near], other[near]
     share = flat[of_face[other]] * weights[other, None]
     sums = np.column_stack([np.bincount(one, weights=share[:, k], minlength=len(place)) for k in range(3)])

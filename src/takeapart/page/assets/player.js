@@ -183,7 +183,7 @@ class Player {
         [name.startsWith("sequence") ? "sequence gap" : "proved gap", `${(100 * (data.total - bound) / bound).toFixed(1)}%`]);
     const note = document.createElement("p");
     note.textContent = data.bounds_note;
-    get("totals").replaceChildren(table(rows), note);
+    get("totals").replaceChildren(...this.partial(), table(rows), note);
     get("time").max = this.timeline.total;
     get("time").title = get("clock").title = data.playback.note;
     new ResizeObserver(() => this.ticks()).observe(get("line"));
@@ -210,6 +210,12 @@ class Player {
     });
     this.list();
     this.choose(null);
+  }
+
+  partial() {  // how far a plan goes that leaves parts where they are
+    const { data } = this, make = (tag, text, kind) => Object.assign(document.createElement(tag), { textContent: text, className: kind });
+    if (!data.partial) return [];
+    return [make("p", `Partial: ${data.partial}.`, "partial"), make("p", `Stated by the file: ${data.partial_claim}.`, "soft")];
   }
 
   list() {
