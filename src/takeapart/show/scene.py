@@ -78,7 +78,8 @@ def colors_of(assembly: Assembly) -> tuple[str, ...]:
     words = {role_of(part) for part in free}
     tells = len(words) > 1 or bool(words & set(ROLES))
     shapes = {_shape_of(part) for part in free}
-    known: dict[object, str] = {**ROLES, "fixed": FIXED}
+    known: dict[object, str] = {"fixed": FIXED}
+    known.update(ROLES)
 
     def color(number: int, part: Part) -> str:
         role = role_of(part)
