@@ -234,10 +234,28 @@ def test_an_interrupt_keeps_what_is_known_of_how_far_the_product_comes_apart(
 def test_an_interrupt_before_the_first_removal_writes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     interrupted_at(1, monkeypatch)
     before = snapshot(folder)
-    result = plan("heavy.json", "--partial", "--out", "old.json")
+    result = plan("heavy.json", "--search", "greedy", "--partial", "--out", "old.json")
     assert result.exit_code == 130
     assert result.stderr == "interrupted before any plan was found; nothing was written\n"
     assert snapshot(folder) == before
+
+
+@pytest.mark.parametrize(("call", "taken"), [(1, 0), (2, 1)])
+def test_an_interrupt_after_the_proof_keeps_the_proof_and_what_was_found(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, call: int, taken: int
+) -> None:
+    """Exact search knows from masks that there is no order; only how far the product comes apart is asked then."""
+    interrupted_at(call, monkeypatch)
+    before = snapshot(folder)
+    result = plan("heavy.json", "--partial", "--out", "old.json")
+    assert result.exit_code == 3
+    assert result.stderr.startswith("no feasible order; with")
+    if taken:
+        assert result.stderr.endswith("takes out 1 of 3 parts, perhaps more, was written to old.json\n")
+        assert len(load_plan("old.json").steps) == 1
+    else:
+        assert result.stderr.endswith("; nothing was written\n")
+        assert snapshot(folder) == before
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), OSError(28, "No space left on device")])
