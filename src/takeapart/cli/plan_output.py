@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from takeapart.cli.output import EXIT_INFEASIBLE, EXIT_INTERRUPTED, metres, note, print_json, print_table
-from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE, gap
+from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED, gap
+from takeapart.formats.plan_texts import partial_claim, partial_text, straight_line_text, title_of
 
 if TYPE_CHECKING:
     from takeapart.model.plan import Plan
@@ -147,12 +148,14 @@ def print_plan(plan: Plan, sizes: dict[str, str] | None = None, stated: bool = F
         ]
         for number, step in enumerate(plan.steps, 1)
     ]
-    print_table(f"{plan.direction} of {plan.assembly} in workcell {plan.workcell}", columns, rows)
-    if plan.remaining:
-        click.echo(f"\nremaining            {', '.join(plan.remaining)} (a partial plan)")
+    title = title_of(plan)
+    print_table(f"{title[0].lower()}{title[1:]} in workcell {plan.workcell}", columns, rows)
     mark = ", stated" if stated else ""
-    click.echo(f"\ntotal gripper path   {metres(plan.total_length)}{mark}")
-    proved = _gap_text("proved gap", gap(plan.total_length, plan.straight_line_bound), STRAIGHT_LINE)
+    click.echo()
+    if plan.remaining:
+        click.echo(f"partial              {partial_text(plan)} ({partial_claim(plan)}{mark})")
+    click.echo(f"total gripper path   {metres(plan.total_length)}{mark}")
+    proved = _gap_text("proved gap", gap(plan.total_length, plan.straight_line_bound), straight_line_text(plan))
     click.echo(f"straight-line bound  {metres(plan.straight_line_bound)}{mark}{proved}")
     if plan.sequence_bound is not None:
         relative = _gap_text("sequence gap", gap(plan.total_length, plan.sequence_bound), SEQUENCE)

@@ -21,14 +21,23 @@ from takeapart.cli.output import (
     progress_bar,
     require_output,
 )
+from takeapart.formats.plan_texts import title_of
 from takeapart.model.errors import InputError
 from takeapart.show.directions import DIRECTIONS
 
 if TYPE_CHECKING:
+    from takeapart.model.plan import Plan
     from takeapart.pictures.renderer import Image
 
 
 VIEW = click.Choice(list(DIRECTIONS))
+
+
+def sheet_title(plan: Plan) -> str:
+    """What stands above the pictures of all steps."""
+    taken, removable = len(plan.steps), len(plan.steps) + len(plan.remaining)
+    share = f", {taken} of {removable} parts" if plan.remaining else ""
+    return f"{title_of(plan)}{share}, {metres(plan.total_length)}"
 
 
 @click.command(
@@ -132,9 +141,7 @@ def render(
                     for number, k in enumerate(order):
                         update(captions[number], number / len(captions))
                         images.append(renderer.picture(scene.moment(k, at)))
-                    title = f"{scene.direction} of {subject.assembly.name}"
-                    if subject.plan is not None:
-                        title += f", {metres(subject.plan.total_length)}"
+                    title = "" if subject.plan is None else sheet_title(subject.plan)
                     save_png(contact_sheet(images, captions, title), out)
                 else:
                     picture = renderer.picture(moment)

@@ -17,11 +17,16 @@ def gap(length: float, bound: float | None) -> float | None:
     return share if abs(share) > ROUNDING else 0.0
 
 
-def explanation(straight_line: bool, sequence: bool) -> str:
-    """One line about the bounds that a plan has; empty where it has none."""
+def explanation(straight_line: str, sequence: bool) -> str:
+    """One line about the bounds that a plan has; empty where it has none.
+
+    Args:
+        straight_line: what that bound says, empty where the plan has none.
+        sequence: whether there is the other one.
+    """
     words = []
     if straight_line:
-        words.append(f"Straight-line bound: {STRAIGHT_LINE}.")
+        words.append(f"Straight-line bound: {straight_line}.")
     if sequence:
         words.append(f"Sequence bound: no order is shorter, {SEQUENCE}.")
     if straight_line and sequence:

@@ -164,9 +164,12 @@ class Assembly:
 
     def body(self, i: int) -> tuple[OrientedBox, ...]:
         """All boxes that move with part i, in its part frame: its shape, then the connectors that it hosts."""
+        return (*self.parts[i].shape.boxes(), *self.walls(i))
+
+    def walls(self, i: int) -> tuple[OrientedBox, ...]:
+        """Walls of the connectors that part i hosts, in its part frame."""
         name = self.parts[i].name
-        walls = [wall for connector in self.connectors if connector.host == name for wall in connector.walls]
-        return (*self.parts[i].shape.boxes(), *walls)
+        return tuple(wall for connector in self.connectors if connector.host == name for wall in connector.walls)
 
     def names(self, state: int) -> list[str]:
         """Names of the parts in a state, in part order."""

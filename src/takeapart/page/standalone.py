@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 from takeapart.formats.bound_texts import explanation
 from takeapart.formats.documents import write_atomically
 from takeapart.formats.messages import shown
+from takeapart.formats.plan_texts import partial_claim, partial_text, straight_line_text, title_of
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array
+from takeapart.model.plan import Plan
 from takeapart.planning.run_journal import recorded_answers
 from takeapart.planning.runs import JOURNAL
 from takeapart.show.facts import PartFacts, part_facts, why_not_earlier
@@ -32,12 +34,12 @@ from takeapart.show.playback import GRIP, PLAYBACK, SPEEDS, TOOL_SPEED
 from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, coarser
 from takeapart.show.scene import CURRENT, FINGERS_OPEN, GOAL, PATH, STEEL, PlanScene
 from takeapart.show.subject import load_subject
+from takeapart.show.surfaces import NORMAL_STEPS, Surface, creased
 from takeapart.show.view import view_of
 
 ASSETS = Path(__file__).resolve().parent / "assets"
 MAXIMUM_BYTES = 10 * 2**20
-FORMAT, VERSION = "takeapart/page", 2
-CREASE = math.radians(40)  # edges sharper than this stay sharp
+FORMAT, VERSION = "takeapart/page", 3
 HULL_CELL = 0.008  # m, details of shadows below this are merged
 LIGHT = np.array([-0.38, -0.55, 1.0])  # toward it, for who looks from "corner"
 PATH_POINTS = 80  # of the line that shows a tool path
@@ -102,14 +104,16 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "version": VERSION,
-        "title": name if plan is None else f"{plan.direction.capitalize()} of {name}",
+        "title": name if plan is None else title_of(plan),
+        "partial": "" if plan is None else partial_text(plan),
+        "partial_claim": "" if plan is None else partial_claim(plan),
         "direction": scene.direction,
         "workcell": scene.workcell.name,
         "total": None if plan is None else plan.total_length,
         "bounds": {}
         if plan is None
         else {"straight-line bound": plan.straight_line_bound, "sequence bound": plan.sequence_bound},
-        "bounds_note": "" if plan is None else explanation(bool(plan.straight_line_bound), bool(plan.sequence_bound)),
+        "bounds_note": "" if plan is None else _bounds_note(plan),
         "playback": {
             "note": PLAYBACK,
             "grip": GRIP,
@@ -119,6 +123,7 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
         },
         "counts": {} if plan is None else plan.counts,
         "colors": {"current": CURRENT, "path": PATH, "goal": GOAL, "obstacle": STEEL},
+        "shapes": [_surface(each) for each in scene.surfaces.values()],
         "parts": [_part(scene, i, each) for i, each in enumerate(facts)],
         "steps": [_step(scene, k) for k in range(len(scene.steps))],
         "robot": robot_document(scene.robot),
@@ -126,6 +131,7 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
         "goal": scene.workcell.goal.tolist(),
         "obstacles": [_box(o.box.T_frame_box, o.box.half_extents) for o in scene.workcell.environment],
         "floor": _floor(scene),
+        "path_radius": round(scene.path_radius, 5),
         "opening": scene.workcell.description.maximum_opening,
         "view": {
             "target": view.target.tolist(),
@@ -135,6 +141,10 @@ def document(scene: PlanScene, facts: Sequence[PartFacts]) -> dict[str, Any]:
             "light": _numbers(view.beside_camera(LIGHT)),
         },
     }
+
+
+def _bounds_note(plan: Plan) -> str:
+    return explanation(straight_line_text(plan) if plan.straight_line_bound else "", bool(plan.sequence_bound))
 
 
 def facts_document(facts: PartFacts) -> dict[str, Any]:
@@ -149,8 +159,8 @@ def facts_document(facts: PartFacts) -> dict[str, Any]:
 
 
 def _part(scene: PlanScene, i: int, facts: PartFacts) -> dict[str, Any]:
-    part = scene.assembly.parts[i]
-    own = len(part.shape.boxes())
+    part, surface = scene.assembly.parts[i], scene.surface(i)
+    boxes, walls = scene.boxes(i)
     return {
         "name": part.name,
         "role": facts.role,
@@ -158,8 +168,9 @@ def _part(scene: PlanScene, i: int, facts: PartFacts) -> dict[str, Any]:
         "fixed": part.fixed,
         "pose": _numbers(part.T_world_part),
         "laid": _numbers(scene.laid_out[i]) if i in scene.laid_out else None,
-        "boxes": [_box(box.T_frame_box, box.half_extents) for box in scene.assembly.body(i)],
-        "own": own,
+        "shape": None if surface is None else list(scene.surfaces.values()).index(surface),
+        "boxes": [_box(box.T_frame_box, box.half_extents) for box in (*boxes, *walls)],
+        "own": len(boxes),
         "size": [round(1000 * edge, 1) for edge in facts.size],
         "mass": part.mass,
         "bound": facts.bound if math.isfinite(facts.bound) else None,
@@ -210,19 +221,28 @@ def robot_document(robot: RobotVisual) -> dict[str, Any]:
 
 
 def _mesh(mesh: Mesh) -> dict[str, Any]:
-    """Positions as 16-bit fractions of the bounding box, normals as bytes."""
+    """A piece of the arm, in its own colour."""
     coarse = coarser(mesh, BROWSER_CELL)
-    shaded = trimesh.graph.smooth_shade(trimesh.Trimesh(coarse.vertices, coarse.faces, process=False), angle=CREASE)
-    vertices, normals = np.asarray(shaded.vertices), np.asarray(shaded.vertex_normals)
-    low = vertices.min(axis=0)
-    size = np.maximum(vertices.max(axis=0) - low, 1e-6)
-    faces = np.asarray(shaded.faces)
     return {
         "color": [round(value, 3) for value in mesh.color],
+        **_triangles(*creased(np.asarray(coarse.vertices, dtype=float), coarse.faces)),
+    }
+
+
+def _surface(surface: Surface) -> dict[str, Any]:
+    """A shape that one or more parts have."""
+    return {"triangles": surface.triangles, **_triangles(surface.vertices, surface.normals, surface.faces)}
+
+
+def _triangles(vertices: NDArray[np.float32], normals: NDArray[np.float32], faces: NDArray[np.int32]) -> dict[str, Any]:
+    """Positions as 16-bit fractions of the bounding box, normals as bytes."""
+    low = vertices.min(axis=0).astype(float)
+    size = np.maximum(vertices.max(axis=0) - low, 1e-6)
+    return {
         "low": _numbers(low),
         "size": _numbers(size),
         "positions": _packed(np.round((vertices - low) / size * 65535).astype("<u2")),
-        "normals": _packed(np.round(normals * 127).astype("i1")),
+        "normals": _packed(np.round(normals * NORMAL_STEPS).astype("i1")),
         "faces": _packed(faces.astype("<u4" if len(vertices) > 65535 else "<u2")),
         "wide": len(vertices) > 65535,
     }

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from takeapart.model.errors import MissingExtraError
 from takeapart.model.geometry import OrientedBox, quaternion_from_rotation
-from takeapart.model.meshes import Mesh as PartMesh
-from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, box_mesh, coarser, surface_mesh
+from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, box_mesh, coarser
 from takeapart.show.scene import GOAL, STEEL, Color, PlanScene, darker, rgb
 from takeapart.show.view import View
 
@@ -102,13 +101,12 @@ def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
             _add_box(world, obstacle.box, rgb(STEEL))
     for i, part in enumerate(scene.assembly.parts):
         body = world.add_body(name=f"part/{part.name}", mocap=True)
-        boxes, own, color = scene.assembly.body(i), len(part.shape.boxes()), rgb(scene.colors[i])
-        if isinstance(part.shape, PartMesh):
-            _add_mesh(spec, body, f"shape/{i}", *surface_mesh(part.shape.surface()), color)
-        else:
-            _add_boxes(spec, body, f"shape/{i}", boxes[:own], color)
-        if boxes[own:]:
-            _add_boxes(spec, body, f"connectors/{i}", boxes[own:], darker(color))
+        surface, (own, walls), color = scene.surface(i), scene.boxes(i), rgb(scene.colors[i])
+        if surface is not None:
+            _add_mesh(spec, body, f"shape/{i}", surface.vertices, surface.faces, color, surface.normals)
+        for name, boxes, shade in (("boxes", own, color), ("connectors", walls, darker(color))):
+            if boxes:
+                _add_boxes(spec, body, f"{name}/{i}", boxes, shade)
     if options.robot:
         _add_robot(spec, scene.robot, options)
         world.add_geom(
@@ -143,10 +141,18 @@ def _add_boxes(spec: Any, body: Any, name: str, boxes: Sequence[OrientedBox], co
 
 
 def _add_mesh(
-    spec: Any, body: Any, name: str, vertices: NDArray[np.float32], faces: NDArray[np.int32], color: Color
+    spec: Any,
+    body: Any,
+    name: str,
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.int32],
+    color: Color,
+    normals: NDArray[np.float32] | None = None,
 ) -> None:
     added = spec.add_mesh(name=name)
     added.uservert, added.userface = vertices.ravel(), faces.ravel()
+    if normals is not None:
+        added.usernormal, added.userfacenormal = normals.ravel(), faces.ravel()
     added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open meshes have no volume
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*color, 1.0], contype=0, conaffinity=0)
 

@@ -34,7 +34,7 @@ except ImportError as missing:
 Image = NDArray[np.uint8]
 """A picture (H, W, 3), red, green, blue."""
 
-PATH_RADIUS, PATH_POINTS, MOVING_PATH_POINTS = 0.0035, 48, 16
+PATH_POINTS, MOVING_PATH_POINTS = 48, 16
 LIGHT_RADIUS, LIGHT_DIRECTIONS = 0.012, 6  # rad, half the angle that the light fills; samples on its edge
 DRAWING_THREADS = 2  # of an animation; OpenGL in software keeps one core busy with vertices, another with pixels
 QUEUED = 4  # pictures of one thread that wait
@@ -155,7 +155,7 @@ class Renderer:
             rgba = np.array([*rgb(PATH), 1.0], dtype=np.float32)
             kind = mujoco.mjtGeom.mjGEOM_CAPSULE
             mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
-            mujoco.mjv_connector(geom, kind, PATH_RADIUS, start, end)
+            mujoco.mjv_connector(geom, kind, self.scene.path_radius, start, end)
             geom.emission = 0.5
             drawn.ngeom += 1
 

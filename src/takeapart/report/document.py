@@ -11,6 +11,7 @@ from pathlib import Path
 from takeapart.formats.bound_texts import STATED, explanation, gap
 from takeapart.formats.documents import write_atomically
 from takeapart.formats.messages import shown
+from takeapart.formats.plan_texts import partial_claim, partial_text, straight_line_text, title_of
 from takeapart.model.errors import InputError, TakeapartError
 from takeapart.model.plan import Plan
 from takeapart.planning.run_journal import recorded_answers
@@ -18,7 +19,16 @@ from takeapart.planning.runs import JOURNAL
 from takeapart.removal.result import Blocked
 from takeapart.report.charts import Bar, bars, graph, progress, progress_note
 from takeapart.report.verification import Verified, load_verification, verification_beside
-from takeapart.show.facts import FREEDOM_NOTE, Answers, PartFacts, blocked_by, freedom, hindrances, part_facts
+from takeapart.show.facts import (
+    Answers,
+    PartFacts,
+    blocked_by,
+    freedom,
+    freedom_note,
+    hindrances,
+    part_facts,
+    why_not_earlier,
+)
 from takeapart.show.markup import Markup, document, element, joined
 from takeapart.show.scene import PlanScene
 from takeapart.show.subject import Subject, load_subject
@@ -132,7 +142,7 @@ def page(
     verified: Verified | None = None,
 ) -> Markup:
     """The HTML document."""
-    title = f"{plan.direction.capitalize()} of {plan.assembly}"
+    title = title_of(plan)
     by_name = {each.name: each for each in facts}
     colors = dict(zip((part.name for part in scene.assembly.parts), scene.colors, strict=True))
     rows = [
@@ -147,21 +157,24 @@ def page(
             "Length of every step",
             bars(rows),
             "Way of the gripper, m. The line across a bar is the straight-line bound of the part: from the best point "
-            "of its volume straight up, then straight to the goal.",
+            f"of its volume {'straight up, then ' if scene.assembly.is_lifted else ''}straight to the goal.",
         ),
         _search(plan),
         _section(
             "What waits for what",
             graph(scene.assembly, edges, scene.colors),
             "A part can leave once all parts above it on its lines are gone. Solid: a part rests on it; dashed: a part "
-            "is above it. Blocked paths are not in this picture, they depend on the state.",
+            f"is {'above it' if scene.assembly.is_lifted else 'in every way out of it'}. Blocked paths are not in this "
+            "picture, they depend on the state.",
             "wide graph",
         ),
         _order(plan, by_name, colors, verified),
+        _remaining(plan, by_name, colors),
         _journal(answers),
         _settings(plan),
     ]
-    lead = element("p", f"{len(plan.steps)} parts, workcell {plan.workcell}", class_="lead")
+    parts = f"Partial: {partial_text(plan)}" if plan.remaining else f"{len(plan.steps)} parts"
+    lead = element("p", f"{parts}; workcell {plan.workcell}", class_="lead")
     return document(title, STYLE, element("main", element("h1", title), lead, *sections))
 
 
@@ -194,7 +207,9 @@ def _cards(plan: Plan, verified: Verified | None) -> Markup:
         for value, *texts in cards
     ]
     words = [
-        f"{explanation(bool(plan.straight_line_bound), plan.sequence_bound is not None)} All figures are {STATED};"
+        explanation(straight_line_text(plan) if plan.straight_line_bound else "", plan.sequence_bound is not None),
+        *([f"How far the plan goes: {partial_claim(plan)}."] if plan.remaining else []),
+        f"All figures are {STATED};",
     ]
     if verified is None:
         words.append("takeapart verify checks what it can.")
@@ -228,9 +243,7 @@ def _order(plan: Plan, facts: dict[str, PartFacts], colors: dict[str, str], veri
     for number, step in enumerate(plan.steps, 1):
         running += step.length
         part = facts[step.part]
-        dot = element(
-            "svg", element("circle", cx=5, cy=5, r=5, fill=colors[step.part]), class_="dot", viewBox="0 0 10 10"
-        )
+        dot = _dot(colors[step.part])
         cells = [f"{step.length:.3f}", f"{running:.3f}"]
         if clearances and verified:
             near = clearances[step.part]
@@ -245,11 +258,11 @@ def _order(plan: Plan, facts: dict[str, PartFacts], colors: dict[str, str], veri
             ),
             element(
                 "tr",
-                element("td", f"{part.grasp}; {freedom(part)}", colspan=len(names)),
+                element("td", "; ".join(text for text in (part.grasp, freedom(part)) if text), colspan=len(names)),
                 class_="more",
             ),
         ]
-    note = FREEDOM_NOTE
+    note = freedom_note(list(facts.values()))
     if plan.direction == "assembly":
         note += " Steps in these words are those of the disassembly."
     if verified and clearances:
@@ -257,6 +270,21 @@ def _order(plan: Plan, facts: dict[str, PartFacts], colors: dict[str, str], veri
         note += f"; a dash where nothing came within about {1000 * verified.sight:g} mm."
     table = element("table", element("thead", head), element("tbody", *rows), class_="steps")
     return _section("Order", table, note)
+
+
+def _remaining(plan: Plan, facts: dict[str, PartFacts], colors: dict[str, str]) -> Markup:
+    """What a partial plan leaves where it is."""
+    if not plan.remaining:
+        return Markup()
+    rows = [
+        element("tr", element("td", _dot(colors[name]), name), element("td", why_not_earlier(facts[name])))
+        for name in plan.remaining
+    ]
+    return _section("Parts that remain", element("table", *rows), "They stand in every picture as they stood.")
+
+
+def _dot(color: str) -> Markup:
+    return element("svg", element("circle", cx=5, cy=5, r=5, fill=color), class_="dot", viewBox="0 0 10 10")
 
 
 def _journal(answers: Answers) -> Markup:

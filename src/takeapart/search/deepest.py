@@ -120,6 +120,9 @@ class _Descent:
         except OutOfTimeError:
             self.complete = False
             return None
+        except KeyboardInterrupt:  # what is known by now is told, as after a search that was stopped
+            self.complete, self.clock.stop = False, True
+            return None
         if isinstance(answer, Removal):
             self.bounds.add_removal(answer)
         return answer
@@ -128,7 +131,11 @@ class _Descent:
         if self.problem.standing.known(state) is None and self.clock.late():
             self.complete = False
             return False
-        return not self.problem.standing.fallen(state)
+        try:
+            return not self.problem.standing.fallen(state)
+        except KeyboardInterrupt:
+            self.complete, self.clock.stop = False, True
+            return False
 
     def closure(self) -> tuple[int, list[Removal]]:
         """The state in which nothing more leaves, if every state stood."""

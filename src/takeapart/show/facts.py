@@ -58,6 +58,8 @@ class PartFacts:
         alternatives: shortest first.
         refusals: how often the planner refused it, by stage.
         is_lifted: whether straight up is its only way out; else more than what is told here may keep it.
+        remains: whether a plan leaves it where it is; what it carries, and what is in its way, are then those that
+            remain too.
     """
 
     name: str
@@ -76,6 +78,7 @@ class PartFacts:
     alternatives: tuple[Alternative, ...] = ()
     refusals: dict[str, int] = field(default_factory=dict)
     is_lifted: bool = True
+    remains: bool = False
 
 
 def hindrances(scene: PlanScene) -> list[tuple[int, int]]:
@@ -127,6 +130,8 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
             continue
         carried, lifted = held_up[i]
         step = scene.order.index(i) + 1 if i in scene.order else 0
+        remains = bool(scene.steps) and not step
+        seen = scene.state(len(scene.steps)) if remains else assembly.root
         earliest, freed_by = _earliest(scene, i, carried | lifted)
         own = [answer.answer for query, answer in answers if query.part == i]
         stages = [answer.stage for answer in own if isinstance(answer, Blocked)]
@@ -140,14 +145,15 @@ def part_facts(scene: PlanScene, answers: Answers = ()) -> tuple[PartFacts, ...]
                 scene.steps[step - 1].length if step else 0.0,
                 volume_bound(part, scene.workcell.lift_height if assembly.is_lifted else 0.0, scene.workcell.goal),
                 scene.grasp_text(step - 1) if step else "",
-                tuple(assembly.names(carried)),
-                tuple(assembly.names(lifted & ~(1 << i))) if lifted != assembly.root else (),
+                tuple(assembly.names(carried & seen)),
+                tuple(assembly.names(lifted & seen & ~(1 << i))) if lifted != assembly.root else (),
                 lifted != assembly.root,
                 earliest,
                 freed_by,
                 _alternatives(scene, i, [answer for answer in own if isinstance(answer, Removal)]),
                 {stage: stages.count(stage) for stage in dict.fromkeys(stages)},
                 assembly.is_lifted,
+                remains,
             )
         )
     return tuple(facts)
@@ -187,19 +193,20 @@ def why_not_earlier(facts: PartFacts) -> str:
     if not facts.lifts:
         way = "be lifted" if facts.is_lifted else "get out"
         return f"It can never {way}: something that never leaves is in the way."
-    if not facts.step and facts.earliest:
-        return "The plan does not remove it."
+    reasons = [f"{_listed(facts.carries)} would fall without it"] if facts.carries else []
+    if facts.remains:
+        if facts.under:
+            way = "lifted, it would hit" if facts.is_lifted else "every way out meets"
+            reasons.append(f"{way} {_listed(facts.under)}")
+        why = f": {', and '.join(reasons)}" if reasons else "; 'takeapart explain' tells what keeps it"
+        return f"It remains, the plan is partial{why}."
     if not facts.is_lifted:
-        reasons = [f"{_listed(facts.carries)} would fall without it"] if facts.carries else []
         reasons += [f"every way out meets {_listed(facts.under)}"] if facts.under else []
         start = f"At the start {', and '.join(reasons)}. " if reasons else ""
         return f"{start}The order of the plan has it in step {facts.step}." if facts.step else start.strip()
     if not facts.carries and not facts.under:
         start = "Gravity and lifting let it go from the start"
     else:
-        reasons = []
-        if facts.carries:
-            reasons.append(f"{_listed(facts.carries)} would fall without it")
         if facts.under:
             reasons.append(f"lifted, it would hit {_listed(facts.under)}")
         start = f"At the start {', and '.join(reasons)}"
@@ -217,14 +224,25 @@ FREEDOM_NOTE = (
     "of the disassembly in which gravity and lifting let it go, given the order; where it leaves later, that is the "
     "choice of the plan."
 )
-"""What `freedom` means, to be said once."""
+"""What `freedom` means of parts that are lifted, to be said once."""
+
+FREEDOM_NOTE_OF_EXITS = (
+    "Carries: parts that would fall without it. Behind: parts that every way out of it meets. More may keep it: that "
+    "depends on the state."
+)
+"""The same of parts that leave in any direction."""
+
+
+def freedom_note(facts: Sequence[PartFacts]) -> str:
+    """What `freedom` means of the parts of a product."""
+    return FREEDOM_NOTE if all(each.is_lifted for each in facts) else FREEDOM_NOTE_OF_EXITS
 
 
 def freedom(facts: PartFacts) -> str:
     """Why a part leaves no earlier, in the terms of `FREEDOM_NOTE`: only what is its own."""
     reasons = [f"carries {_listed(facts.carries)}"] if facts.carries else []
     if facts.under and set(facts.under) == set(facts.carries):
-        reasons = [f"carries and is below {_listed(facts.carries)}"]
+        reasons = [f"carries and is {'below' if facts.is_lifted else 'behind'} {_listed(facts.carries)}"]
     elif facts.under:
         reasons.append(f"{'below' if facts.is_lifted else 'behind'} {_listed(facts.under)}")
     if not facts.lifts:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from takeapart.caching import cache_folder, read_arrays
 from takeapart.model.description import RobotDescription
 from takeapart.model.errors import InputError
-from takeapart.model.geometry import Array, OrientedBox, TriangleMesh, pose
+from takeapart.model.geometry import Array, OrientedBox, pose
 from takeapart.robot.urdf import Geometry, Link, Urdf, read_urdf
 from takeapart.robot.urdf.meshes import digest_of, geometry_meshes
 
@@ -251,9 +251,3 @@ def box_mesh(boxes: Sequence[OrientedBox]) -> tuple[NDArray[np.float32], NDArray
     first = 4 * np.arange(6 * len(boxes))[:, None]
     faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
     return vertices.astype(np.float32), faces.astype(np.int32)
-
-
-def surface_mesh(surface: TriangleMesh) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Vertices (3 T, 3) float32, m, and faces (T, 3) of a surface, faces with corners of their own."""
-    corners = surface.corners.reshape(-1, 3)
-    return corners.astype(np.float32), np.arange(len(corners), dtype=np.int32).reshape(-1, 3)

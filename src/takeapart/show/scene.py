@@ -15,9 +15,11 @@ import numpy as np
 from takeapart.formats.serialization import assembly_hash
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.errors import InputError
-from takeapart.model.geometry import Array, pose, pose_inverse, rotation_from_quaternion
+from takeapart.model.geometry import Array, OrientedBox, pose, pose_inverse, rotation_from_quaternion
+from takeapart.model.meshes import Mesh
 from takeapart.model.plan import Plan, PlanStep
 from takeapart.show.robot import RobotVisual, load_robot_visual
+from takeapart.show.surfaces import Surface, surfaces_of
 from takeapart.states import members
 from takeapart.workcell import Workcell
 
@@ -33,13 +35,17 @@ ROLES: dict[str, str] = {  # the paper's figures: frame yellow, back cyan, front
     "top": "#b4c4d8",
 }
 FIXED, CURRENT, PATH, GOAL = "#a3a8ae", "#f2683c", "#e4572e", "#2e9e6b"
-OTHERS = ("#4db6c6", "#f0bf4c", "#9a78cf", "#86b978", "#e08f8f", "#7f9cc0")  # roles that the table does not have
+OTHERS = (  # roles that the table does not have
+    *("#4db6c6", "#f0bf4c", "#9a78cf", "#86b978", "#e08f8f", "#7f9cc0"),
+    *("#c9a27a", "#4f9088", "#c77fae", "#b5bb52", "#6a7fc4", "#d9b8a4"),
+)
 STEEL = "#c9cdd2"  # obstacles
 
 TURNING = 0.05  # m per rad: what turning counts of the way of the tool, as it is shown
 FINGERS_OPEN = 0.02  # m, how much wider than the grasp the gripper is shown before it closes
 LARGEST_MISS = 0.01  # m, of the tool from where its path says; more is a corrupted plan
 LAYOUT_GAP = 0.035  # m, between parts that are laid out
+PATH_SHARE, THINNEST_PATH, THICKEST_PATH = 0.008, 0.001, 0.004  # of the assembly's diagonal; m: radius of a tool path
 
 
 def rgb(color: str) -> Color:
@@ -66,13 +72,30 @@ def role_of(part: Part) -> str:
 
 
 def colors_of(assembly: Assembly) -> tuple[str, ...]:
-    """Colour of every part, by its role."""
-    known = dict(ROLES) | {"fixed": FIXED}
-    for part in assembly.parts:
+    """Colour of every part: by its role; where names tell none, since all parts bear the same word, by its shape, and
+    where these are equal too, one after the other."""
+    free = [part for part in assembly.parts if not part.fixed]
+    words = {role_of(part) for part in free}
+    tells = len(words) > 1 or bool(words & set(ROLES))
+    shapes = {_shape_of(part) for part in free}
+    known: dict[object, str] = {"fixed": FIXED}
+    known.update(ROLES)
+
+    def color(number: int, part: Part) -> str:
         role = role_of(part)
-        if role not in known:
-            known[role] = OTHERS[(len(known) - len(ROLES) - 1) % len(OTHERS)]
-    return tuple(known[role_of(part)] for part in assembly.parts)
+        key: object = role
+        if not (tells or part.fixed):
+            key = _shape_of(part) if len(shapes) > 1 else number
+        if key not in known:
+            known[key] = OTHERS[(len(known) - len(ROLES) - 1) % len(OTHERS)]
+        return known[key]
+
+    return tuple(color(number, part) for number, part in enumerate(assembly.parts))
+
+
+def _shape_of(part: Part) -> object:
+    """What equal shapes share."""
+    return part.shape.hash if isinstance(part.shape, Mesh) else part.shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +202,28 @@ class PlanScene:
         )
 
     @cached_property
+    def surfaces(self) -> dict[str, Surface]:
+        """What is drawn of meshes, by the hash of their shape."""
+        return surfaces_of(self.assembly)
+
+    def surface(self, part: int) -> Surface | None:
+        """What is drawn of a part that is a mesh."""
+        shape = self.assembly.parts[part].shape
+        return self.surfaces[shape.hash] if isinstance(shape, Mesh) else None
+
+    def boxes(self, part: int) -> tuple[tuple[OrientedBox, ...], tuple[OrientedBox, ...]]:
+        """Boxes that are drawn of a part, in its frame: of its shape, which are none of a mesh, and of the connectors
+        on it."""
+        shape = self.assembly.parts[part].shape
+        return () if isinstance(shape, Mesh) else shape.boxes(), self.assembly.walls(part)
+
+    def corners(self, part: int) -> Array:
+        """Points (P, 3), m, in the frame of a part, that its hull goes through: what is drawn lies within."""
+        surface = self.surface(part)
+        points = [] if surface is None else [surface.vertices.astype(float)]
+        return np.concatenate([*points, *(box.corners() for boxes in self.boxes(part) for box in boxes)])
+
+    @cached_property
     def laid_out(self) -> dict[int, Array]:
         """Poses (4, 4) of the removable parts when they lie beside the assembly, first removed first, longest edge
         along the rows."""
@@ -209,6 +254,12 @@ class PlanScene:
             row_depth = max(row_depth, thick)
         return placed
 
+    @property
+    def path_radius(self) -> float:
+        """Of the line that shows a tool path, m: thin beside small products."""
+        low, high = self.bounds
+        return float(np.clip(PATH_SHARE * np.linalg.norm(high - low), THINNEST_PATH, THICKEST_PATH))
+
     @cached_property
     def reached(self) -> Array:
         """Points (P, 3), m, that arm and held parts reach: at rest, and at the beginning, middle and end of every
@@ -218,7 +269,8 @@ class PlanScene:
             for fraction in (0.0, 0.5, 1.0):
                 moment = self.moment(step, fraction)
                 links.append(self.robot.poses(moment.configuration, 0.0)[:, :3, 3])
-                links += [box.moved(moment.T_world_held).corners() for box in self.assembly.body(moment.held)[:1]]
+                box = self.assembly.parts[moment.held].shape.bounding_box()
+                links.append(box.moved(moment.T_world_held).corners())
         return np.vstack(links)
 
     @cached_property
@@ -226,9 +278,8 @@ class PlanScene:
         """Least and greatest coordinates (3,) of the assembly, m."""
         corners = np.concatenate(
             [
-                box.moved(part.T_world_part).corners()
+                self.corners(i) @ part.T_world_part[:3, :3].T + part.T_world_part[:3, 3]
                 for i, part in enumerate(self.assembly.parts)
-                for box in self.assembly.body(i)
             ]
         )
         return corners.min(axis=0), corners.max(axis=0)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from takeapart.model.geometry import Array, quaternion_from_rotation
-from takeapart.model.meshes import Mesh as PartMesh
-from takeapart.show.robot import BROWSER_CELL, box_mesh, coarser, surface_mesh
+from takeapart.show.robot import BROWSER_CELL, box_mesh, coarser
 from takeapart.show.scene import GOAL, STEEL, Color, PlanScene, darker, rgb
 from takeapart.show.view import view_of
 
@@ -57,18 +57,13 @@ def draw_scene(server: Any, scene: PlanScene, on_click: Callable[[int], Callable
     for i, part in enumerate(scene.assembly.parts):
         frame = api.add_frame(f"/parts/{i}", show_axes=False)
         move(frame, part.T_world_part)
-        body, own = scene.assembly.body(i), len(part.shape.boxes())
-        color = rgb(scene.colors[i])
         bodies = []
-        for name, boxes, shade in (("shape", body[:own], color), ("connectors", body[own:], darker(color))):
-            if boxes:
-                is_mesh = name == "shape" and isinstance(part.shape, PartMesh)
-                vertices, faces = surface_mesh(part.shape.surface()) if is_mesh else box_mesh(boxes)
-                mesh = api.add_mesh_simple(
-                    f"/parts/{i}/{name}", vertices, faces, color=as_bytes(shade), flat_shading=True
-                )
-                mesh.on_click(on_click(i))
-                bodies.append(mesh)
+        for name, vertices, faces, shade, is_flat in _bodies(scene, i):
+            mesh = api.add_mesh_simple(
+                f"/parts/{i}/{name}", vertices, faces, color=as_bytes(shade), flat_shading=is_flat, side="double"
+            )
+            mesh.on_click(on_click(i))
+            bodies.append(mesh)
         nodes.frames.append(frame)
         nodes.bodies.append(bodies)
     for number, link in enumerate(scene.robot.links):
@@ -79,6 +74,17 @@ def draw_scene(server: Any, scene: PlanScene, on_click: Callable[[int], Callable
             )
     api.add_icosphere("/goal", 0.012, as_bytes(rgb(GOAL)), position=tuple(scene.workcell.goal))
     return nodes
+
+
+def _bodies(scene: PlanScene, part: int) -> Iterator[tuple[str, NDArray[np.float32], NDArray[np.int32], Color, bool]]:
+    """What is drawn of a part: name, vertices, faces, colour, and whether its triangles are flat. Sharp edges of meshes
+    have vertices of their own for each side; normals are made in the browser."""
+    surface, (own, walls), color = scene.surface(part), scene.boxes(part), rgb(scene.colors[part])
+    if surface is not None:
+        yield "shape", surface.vertices, surface.faces, color, False
+    for name, boxes, shade in (("boxes", own, color), ("connectors", walls, darker(color))):
+        if boxes:
+            yield (name, *box_mesh(boxes), shade, True)
 
 
 def move(handle: Any, T: Array) -> None:

@@ -26,6 +26,8 @@ class Explainer:
         scene = self._scene
         if not scene.steps:
             return self._whole(part)
+        if facts.remains:
+            return self._remaining(part)
         if not facts.step or facts.earliest in (0, facts.step):
             return "It leaves at the first moment that gravity and lifting allow; there is nothing to ask."
         state = scene.state(facts.earliest - 1)
@@ -48,6 +50,15 @@ class Explainer:
         if isinstance(answer, Blocked):
             return f"It cannot leave the whole assembly: {self._reason(root, answer)}."
         return f"It can leave at once, on a path of {answer.length:.3f} m."
+
+    def _remaining(self, part: int) -> str:
+        """Whether a part that a partial plan leaves can leave once all steps are done."""
+        state = self._scene.state(len(self._scene.steps))
+        with self._lock:
+            answer = self._known().remove(state, part, Effort())
+        if isinstance(answer, Blocked):
+            return f"It cannot leave what remains: {self._reason(state, answer)}."
+        return f"It could leave what remains, on a path of {answer.length:.3f} m."
 
     def _reason(self, state: int, answer: Blocked) -> str:
         name = self._scene.assembly.parts[answer.part].name

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED, STRAIGHT_LINE
+from takeapart.formats.bound_texts import BELIEVE, SEQUENCE, STATED
+from takeapart.formats.plan_texts import partial_claim, partial_text, straight_line_text, title_of
 from takeapart.model.plan import Plan
 from takeapart.show.facts import PartFacts, why_not_earlier
 from takeapart.show.figures import plan_figures
@@ -68,7 +69,8 @@ def totals_text(scene: PlanScene, facts: Sequence[PartFacts]) -> Markup:
         parts, removable = len(scene.assembly.parts), scene.assembly.root.bit_count()
         text = f"{parts} parts, {removable} of them removable. A plan file shows how they leave."
         return block(heading(scene.assembly.name), text)
-    return block(heading(f"{scene.direction.capitalize()} of {scene.assembly.name}"), _figures(plan, facts))
+    told = [remark(f"Partial: {partial_text(plan)}."), remark(f"Stated: {partial_claim(plan)}.")]
+    return block(heading(title_of(plan)), *(told if plan.remaining else []), _figures(plan, facts))
 
 
 def _figures(plan: Plan, facts: Sequence[PartFacts]) -> Markup:
@@ -79,7 +81,7 @@ def _figures(plan: Plan, facts: Sequence[PartFacts]) -> Markup:
             ("straight-line bound", f"{figures.straight_line_bound:.3f} m"),
             ("proved gap", f"{figures.proved_gap:.1%}"),
         ]
-        remarks.append(f"Straight-line bound: {STRAIGHT_LINE}.")
+        remarks.append(f"Straight-line bound: {straight_line_text(plan)}.")
     if figures.sequence_gap is not None:
         rows += [
             ("sequence bound", f"{figures.sequence_bound:.3f} m"),

@@ -73,6 +73,13 @@ class Painter {
     return { array, count: faces.length, kind, low, size, own: tints ? 1 : 0 };
   }
 
+  // triangles as the data hold them; a pick looks at them too
+  mesh({ positions, normals, faces, wide, low, size }) {
+    const points = new Uint16Array(bytes(positions)), corners = wide ? new Uint32Array(bytes(faces)) : new Uint16Array(bytes(faces));
+    if (corners.some(corner => 3 * corner >= points.length)) throw new Error("A triangle has a corner that does not exist.");
+    return { ...this.shape(points, new Int8Array(bytes(normals)), corners, null, low, size), points, corners };
+  }
+
   // boxes in one frame: each 12 numbers of its pose and 3 half extents
   boxes(list, tint) {
     const positions = [], normals = [], tints = [], faces = [];
@@ -144,6 +151,37 @@ class Painter {
     gl.bindVertexArray(shape.array);
     gl.drawElements(gl.TRIANGLES, shape.count, shape.kind, 0);
   }
+}
+
+// ---------------------------------------------------------------- what a ray meets first: how far away, or infinity
+const SLACK = 0.002;  // m, by which boxes are larger for a ray
+
+function hitBox(T, half, eye, ray) {  // slabs
+  const from = minus(eye, [T[3], T[7], T[11]]);
+  let near = 0, far = Infinity;
+  for (let a = 0; a < 3; a++) {
+    const axis = [T[a], T[4 + a], T[8 + a]], o = dot(axis, from), d = dot(axis, ray), h = half[a] + SLACK;
+    const [t1, t2] = Math.abs(d) < 1e-9 ? (Math.abs(o) < h ? [-Infinity, Infinity] : [Infinity, -Infinity]) : [(-h - o) / d, (h - o) / d];
+    near = Math.max(near, Math.min(t1, t2)); far = Math.min(far, Math.max(t1, t2));
+  }
+  return near <= far ? near : Infinity;
+}
+
+function hitMesh({ points, corners, low, size }, T, eye, ray) {  // Moeller and Trumbore 1997
+  const middle = low.map((l, a) => l + size[a] / 2), half = size.map(s => s / 2);
+  const place = [0, 1, 2].map(r => T[4 * r] * middle[0] + T[4 * r + 1] * middle[1] + T[4 * r + 2] * middle[2] + T[4 * r + 3]);
+  const bounds = [T[0], T[1], T[2], place[0], T[4], T[5], T[6], place[1], T[8], T[9], T[10], place[2], 0, 0, 0, 1];
+  if (hitBox(bounds, half, eye, ray) === Infinity) return Infinity;
+  const away = minus(eye, [T[3], T[7], T[11]]), inside = v => [0, 1, 2].map(a => T[a] * v[0] + T[4 + a] * v[1] + T[8 + a] * v[2]);
+  const from = inside(away), along = inside(ray), at = corner => [0, 1, 2].map(a => low[a] + size[a] * points[3 * corner + a] / 65535);
+  let best = Infinity;
+  for (let k = 0; k < corners.length; k += 3) {
+    const a = at(corners[k]), u = minus(at(corners[k + 1]), a), v = minus(at(corners[k + 2]), a), p = cross(along, v), d = dot(u, p);
+    if (Math.abs(d) < 1e-18) continue;
+    const s = minus(from, a), x = dot(s, p) / d, q = cross(s, u), y = dot(along, q) / d, way = dot(v, q) / d;
+    if (x >= 0 && y >= 0 && x + y <= 1 && way > 0 && way < best) best = way;
+  }
+  return best;
 }
 
 // ---------------------------------------------------------------- the camera goes around a point

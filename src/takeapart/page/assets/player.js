@@ -16,7 +16,9 @@ function readData() {
   if (crc32(text) !== Number(element.dataset.checksum))
     throw new Error("The data in this file are damaged: their checksum does not fit. Ask for the file again.");
   const data = JSON.parse(text);
-  if (data.format !== "takeapart/page" || data.version !== 2) throw new Error("The file holds nothing of a known version.");
+  if (data.format !== "takeapart/page" || data.version !== 3) throw new Error("The file holds nothing of a known version.");
+  for (const part of data.parts)
+    if (part.shape !== null && !data.shapes[part.shape]) throw new Error(`The shape of ${part.name} is missing.`);
   for (const step of data.steps) {
     step.joints = new Float32Array(bytes(step.joints));
     step.along = new Float32Array(bytes(step.along));
@@ -37,19 +39,17 @@ class Player {
     this.time = 0; this.playing = false; this.speed = 1; this.picked = null; this.frames = [];
     const canvas = document.getElementById("canvas"), painter = this.painter = new Painter(canvas);
     this.orbit = new Orbit(data.view, canvas, () => this.draw());
-    this.parts = data.parts.map(part => {
+    this.shapes = data.shapes.map(shape => painter.mesh(shape));
+    this.parts = data.parts.map(part => {  // what is drawn of each: its mesh, its boxes with the walls of its connectors
       const own = color(part.color), wall = own.map(c => c * 0.82);
-      return painter.boxes(part.boxes, k => k < part.own ? own : wall);
+      const boxes = part.boxes.length ? [{ shape: painter.boxes(part.boxes, k => k < part.own ? own : wall), paint: null }] : [];
+      return part.shape === null ? boxes : [{ shape: this.shapes[part.shape], paint: own }, ...boxes];
     });
     this.obstacles = painter.boxes(data.obstacles, () => color(data.colors.obstacle));
-    this.links = data.robot.links.map(link => link.meshes.map(mesh => ({
-      paint: mesh.color,
-      shape: painter.shape(new Uint16Array(bytes(mesh.positions)), new Int8Array(bytes(mesh.normals)),
-        mesh.wide ? new Uint32Array(bytes(mesh.faces)) : new Uint16Array(bytes(mesh.faces)), null, mesh.low, mesh.size),
-    })));
+    this.links = data.robot.links.map(link => link.meshes.map(mesh => ({ paint: mesh.color, shape: painter.mesh(mesh) })));
     this.hulls = data.robot.links.map(({ shadow }) => shadow
       && painter.shape(new Float32Array(bytes(shadow.positions)), null, new Uint16Array(bytes(shadow.faces))));
-    this.tubes = data.steps.map(step => painter.tube(step.path, 0.004));
+    this.tubes = data.steps.map(step => painter.tube(step.path, data.path_radius));
     this.goal = painter.boxes([[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.011, 0.011, 0.011]], () => color(data.colors.goal));
     this.controls();
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -94,7 +94,8 @@ class Player {
       models.forEach((model, i) => {
         if (!model) return;
         const current = held && held.part === i, chosen = this.picked === i;
-        painter.draw(this.parts[i], model, !shadow && current ? color(data.colors.current) : null, !shadow && chosen ? 0.3 : 0);
+        for (const { shape, paint } of this.parts[i])
+          painter.draw(shape, model, shadow ? null : current ? color(data.colors.current) : paint, !shadow && chosen ? 0.3 : 0);
       });
       if (shadow) poses.forEach((pose, k) => this.hulls[k] && painter.draw(this.hulls[k], pose));
       else poses.forEach((pose, k) => this.links[k].forEach(mesh => painter.draw(mesh.shape, pose, mesh.paint)));
@@ -118,16 +119,10 @@ class Player {
     let best = Infinity, found = null;
     this.data.parts.forEach((part, i) => {
       const model = this.models[i];
-      if (model) for (const box of part.boxes) {
-        const T = multiply(model, [...box.slice(0, 12), 0, 0, 0, 1]), from = minus(eye, [T[3], T[7], T[11]]);
-        let near = 0, far = Infinity;
-        for (let a = 0; a < 3; a++) {  // slabs
-          const axis = [T[a], T[4 + a], T[8 + a]], o = dot(axis, from), d = dot(axis, ray), h = box[12 + a] + 0.002;
-          const [t1, t2] = Math.abs(d) < 1e-9 ? (Math.abs(o) < h ? [-Infinity, Infinity] : [Infinity, -Infinity]) : [(-h - o) / d, (h - o) / d];
-          near = Math.max(near, Math.min(t1, t2)); far = Math.min(far, Math.max(t1, t2));
-        }
-        if (near <= far && near < best) { best = near; found = i; }
-      }
+      if (!model) return;
+      const met = part.boxes.map(box => hitBox(multiply(model, [...box.slice(0, 12), 0, 0, 0, 1]), box.slice(12), eye, ray));
+      if (part.shape !== null) met.push(hitMesh(this.shapes[part.shape], model, eye, ray));
+      for (const way of met) if (way < best) { best = way; found = i; }
     });
     this.choose(found);
   }
@@ -141,6 +136,8 @@ class Player {
       const part = this.data.parts[i], k = this.data.steps.findIndex(step => step.part === i), heading = make("h2", part.name);
       const spot = make("span", "", "dot"); spot.style.background = part.color; heading.prepend(spot);
       const rows = [["size", part.size.join(" × ") + " mm"], ["mass", part.mass.toFixed(3) + " kg"]];
+      const shape = part.shape === null ? null : this.data.shapes[part.shape], drawn = shape && this.shapes[part.shape].count / 3;
+      if (shape && drawn < shape.triangles) rows.push(["drawn with", `${drawn} of ${shape.triangles} triangles`]);
       if (k >= 0) rows.push(["step", `${this.number(k)} of ${this.data.steps.length}`], ["gripper path", metres(this.data.steps[k].length)],
                             ["straight-line bound", metres(part.bound)], ["grasp", this.data.steps[k].grasp]);
       box.append(heading, table(rows), make("p", part.why, "why"));
@@ -186,7 +183,7 @@ class Player {
         [name.startsWith("sequence") ? "sequence gap" : "proved gap", `${(100 * (data.total - bound) / bound).toFixed(1)}%`]);
     const note = document.createElement("p");
     note.textContent = data.bounds_note;
-    get("totals").replaceChildren(table(rows), note);
+    get("totals").replaceChildren(...this.partial(), table(rows), note);
     get("time").max = this.timeline.total;
     get("time").title = get("clock").title = data.playback.note;
     new ResizeObserver(() => this.ticks()).observe(get("line"));
@@ -213,6 +210,12 @@ class Player {
     });
     this.list();
     this.choose(null);
+  }
+
+  partial() {  // how far a plan goes that leaves parts where they are
+    const { data } = this, make = (tag, text, kind) => Object.assign(document.createElement(tag), { textContent: text, className: kind });
+    if (!data.partial) return [];
+    return [make("p", `Partial: ${data.partial}.`, "partial"), make("p", `Stated by the file: ${data.partial_claim}.`, "soft")];
   }
 
   list() {
