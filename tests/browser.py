@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import io
 import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,32 +47,38 @@ class Opened:
         self.page.screenshot(path=str(SCREENSHOTS / name), timeout=PATIENCE)
 
 
-@contextmanager
-def opened(address: str, width: int = 1200, height: int = 800, offline: bool = False) -> Iterator[Opened]:
-    """A page in headless Chromium.
-
-    Args:
-        offline: no network at all.
-    """
+@cache
+def chromium() -> Any:
+    """The one browser of all tests of a process: a start costs more than most tests of a page do."""
     playwright = pytest.importorskip("playwright.sync_api", reason="browser tests need the package playwright")
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("browser tests need Chromium (Debian: apt install chromium)")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=program, args=FLAGS)
-        try:
-            context = browser.new_context(viewport={"width": width, "height": height}, offline=offline)
-            found = Opened(context.new_page())
-            found.page.set_default_timeout(PATIENCE)
-            found.page.on("pageerror", lambda error: found.errors.append(str(error)))
-            found.page.on(
-                "console", lambda message: found.errors.append(message.text) if message.type == "error" else None
-            )
-            found.page.on("request", lambda request: found.requests.append(request.url))
-            found.page.goto(address, timeout=PATIENCE)
-            yield found
-        finally:
-            browser.close()
+    running = playwright.sync_playwright().start()
+    atexit.register(running.stop)
+    browser = running.chromium.launch(executable_path=program, args=FLAGS)
+    atexit.register(browser.close)
+    return browser
+
+
+@contextmanager
+def opened(address: str, width: int = 1200, height: int = 800, offline: bool = False) -> Iterator[Opened]:
+    """A page in headless Chromium, which shares nothing with other pages.
+
+    Args:
+        offline: no network at all.
+    """
+    context = chromium().new_context(viewport={"width": width, "height": height}, offline=offline)
+    try:
+        found = Opened(context.new_page())
+        found.page.set_default_timeout(PATIENCE)
+        found.page.on("pageerror", lambda error: found.errors.append(str(error)))
+        found.page.on("console", lambda message: found.errors.append(message.text) if message.type == "error" else None)
+        found.page.on("request", lambda request: found.requests.append(request.url))
+        found.page.goto(address, timeout=PATIENCE)
+        yield found
+    finally:
+        context.close()
 
 
 def wait_until(page: Any, condition: str, timeout: float = PATIENCE) -> None:

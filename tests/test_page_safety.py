@@ -5,11 +5,13 @@ from __future__ import annotations
 import http.client
 import json
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from browser import PATIENCE, Opened, opened
@@ -48,6 +50,25 @@ def viewer() -> Iterator[Viewer]:
     served.close()
 
 
+class Drawn:
+    """In place of the renderer: what a picture shows runs nowhere, and drawing it takes longest of all."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def __enter__(self) -> Drawn:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def picture(self, *_: object) -> np.ndarray:
+        return np.full((60, 80, 3), 200, dtype=np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def quickly_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("takeapart.pictures.renderer.Renderer", Drawn)
+
+
 def hostile_plan(folder: Path, shared: Path) -> tuple[Path, list[str]]:
     """A plan that is valid, and holds markup wherever it may hold free text; the options that name its sources."""
     given = write_files(folder, shared)
@@ -63,7 +84,23 @@ def hostile_plan(folder: Path, shared: Path) -> tuple[Path, list[str]]:
 def ran(found: Opened) -> Any:
     """What a script of an attack leaves behind."""
     found.page.wait_for_timeout(700)
+    return left_behind(found)
+
+
+def left_behind(found: Opened) -> Any:
     return found.page.evaluate("window.p ?? null")
+
+
+@contextmanager
+def all_opened(texts: Mapping[str, str], folder: Path) -> Iterator[dict[str, Opened]]:
+    """Pages written to files of these names, open side by side for long enough for scripts to run."""
+    with ExitStack() as stack:
+        shown = {}
+        for name, text in texts.items():
+            (folder / name).write_text(text)
+            shown[name] = stack.enter_context(opened((folder / name).as_uri(), 900, 640, offline=True))
+        next(iter(shown.values())).page.wait_for_timeout(700)
+        yield shown
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -125,16 +162,13 @@ def test_nothing_of_a_plan_runs_in_report_and_standalone_page(tmp_path: Path, fo
         "reasons.html": report_page(subject.plan, scene, facts, (), element("p", FRAME)),
         "page.html": page(scene, facts),
     }
-    for name, text in texts.items():
-        (tmp_path / name).write_text(text)
-        with opened((tmp_path / name).as_uri(), 900, 640, offline=True) as found:
-            assert ran(found) is None
+    with all_opened(texts, tmp_path) as shown:
+        for name, found in shown.items():
+            assert left_behind(found) is None, name
             assert found.page.locator("iframe").count() == 0
-            if name == "report.html":
-                words = found.page.locator("body").inner_text()
-                assert FRAME in words and IMAGE in words  # shown, not run
-            if name == "reasons.html":
-                assert SCRIPT in found.page.locator("body").inner_text()
+        words = shown["report.html"].page.locator("body").inner_text()
+        assert FRAME in words and IMAGE in words  # shown, not run
+        assert SCRIPT in shown["reasons.html"].page.locator("body").inner_text()
 
 
 def test_names_of_parts_stay_text_in_the_charts() -> None:
@@ -152,9 +186,10 @@ def test_plan_in_a_file_named_with_markup_is_reported_and_shown(name: str, tmp_p
     named = file.rename(tmp_path / name.replace("/", "\u2215"))
     save_report(named, tmp_path / "report.html", Path(given[1]), given[3])
     save_page(named, tmp_path / "page.html", Path(given[1]), given[3])
-    for out in ("report.html", "page.html"):
-        with opened((tmp_path / out).as_uri(), 900, 640, offline=True) as found:
-            assert ran(found) is None and found.page.locator("iframe, img[src=x]").count() == 0
+    texts = {out: (tmp_path / out).read_text() for out in ("report.html", "page.html")}
+    with all_opened(texts, tmp_path) as shown:
+        for found in shown.values():
+            assert left_behind(found) is None and found.page.locator("iframe, img[src=x]").count() == 0
             assert not found.errors  # the policy of the page lets its own style, script and picture through
             assert "Disassembly of three-bars" in found.page.locator("h1").inner_text()
 
@@ -165,16 +200,15 @@ def test_policy_of_a_page_stops_what_was_not_escaped(tmp_path: Path, folder: Pat
     save_report(file, tmp_path / "report.html", Path(given[1]), given[3])
     save_page(file, tmp_path / "page.html", Path(given[1]), given[3])
     attack = f"</h1>{FRAME}</iframe><p id=seen>here</p>{IMAGE}<script>top.p=1</script><svg onload=top.p=1></svg><h1>"
+    texts = {}
     for out in ("report.html", "page.html"):
-        text = (tmp_path / out).read_text()
-        (tmp_path / out).write_text(text.replace("</h1>", attack, 1))
-        with opened((tmp_path / out).as_uri(), 900, 640, offline=True) as found:
-            assert found.page.locator("#seen").inner_text() == "here"
-            assert ran(found) is None
-        free = text.replace("Content-Security-Policy", "x-nothing").replace("</h1>", attack, 1)
-        (tmp_path / "free.html").write_text(free)
-        with opened((tmp_path / "free.html").as_uri(), 900, 640, offline=True) as found:
-            assert ran(found) == 1  # the attack is one
+        texts[out] = (tmp_path / out).read_text().replace("</h1>", attack, 1)
+        texts[f"free-{out}"] = texts[out].replace("Content-Security-Policy", "x-nothing")
+    with all_opened(texts, tmp_path) as shown:
+        for out in ("report.html", "page.html"):
+            assert shown[out].page.locator("#seen").inner_text() == "here"
+            assert left_behind(shown[out]) is None
+            assert left_behind(shown[f"free-{out}"]) == 1  # the attack is one
 
 
 @pytest.mark.slow

@@ -34,6 +34,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("shown")
 
 
+@pytest.fixture
+def not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the words of a report matter: its picture takes longest of all."""
+    monkeypatch.setattr("takeapart.report.document.picture_of", lambda scene: element("p", scene.assembly.name))
+
+
 class Page(HTMLParser):
     """Text and references of a page; fails on tags that are not closed."""
 
@@ -97,6 +103,7 @@ def verification_of(plan: Plan, distances: list[float | None], **other: object) 
     return report_as_dict(made) | other
 
 
+@pytest.mark.usefixtures("not_drawn")
 def test_clearance_of_every_step_is_that_of_the_verification(tmp_path: Path, folder: Path) -> None:
     given, made = write_files(tmp_path, folder), small_plan(folder)
     file = (tmp_path / "plan.json").rename(tmp_path / "x.plan.json")
@@ -138,6 +145,7 @@ def test_what_is_said_of_every_part_is_said_once(folder: Path) -> None:
     assert not [word for word, count in Counter(words).items() if count > 1 and len(word) > 60]
 
 
+@pytest.mark.usefixtures("not_drawn")
 def test_report_of_a_run_tells_what_the_planner_answered(tmp_path: Path, folder: Path) -> None:
     made = plan(three_bars(), small_workcell(folder), PlanningOptions(), run=tmp_path / "run")
     assert isinstance(made, Plan)

@@ -83,7 +83,7 @@ Free = Annotated[dict[str, object], AfterValidator(_free)]
 class _Model(BaseModel):
     """Strict: no conversion between types, and no key that is not known."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod

@@ -34,21 +34,22 @@ def sources_digest(also: Sequence[str] = (), package: Path = Path(takeapart.__fi
         package: folder of the package.
     """
     digest = hashlib.sha256()
-    for module, tree in sorted(shaping_sources(also, package).items()):
-        digest.update(f"{module}\n{ast.dump(tree)}\n".encode())
+    for module, content in sorted(shaping_sources(also, package).items()):
+        digest.update(f"{module}\n{content}\n".encode())
     return digest.hexdigest()
 
 
-def shaping_sources(also: Sequence[str], package: Path) -> dict[str, ast.Module]:
-    """The sources of which `sources_digest` is made, without docstrings, by the names of their modules."""
+def shaping_sources(also: Sequence[str], package: Path) -> dict[str, str]:
+    """Digests of the sources of which `sources_digest` is made, without docstrings, by the names of their modules."""
     files = {_module(path, package): path for path in package.rglob("*.py")}
     roots = (*ANSWERING, *also)
     waiting = [name for name in files if any(name == root or name.startswith(f"{root}.") for root in roots)]
-    found: dict[str, ast.Module] = {}
+    found: dict[str, str] = {}
     while waiting:
         name = waiting.pop()
         if name in files and name not in found:
-            found[name], imported = _read(files[name], name)
+            is_package = files[name].name == "__init__.py"
+            found[name], imported = _read(files[name].read_text(encoding="utf-8"), name, is_package)
             waiting += imported
     return found
 
@@ -58,12 +59,13 @@ def _module(path: Path, package: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def _read(path: Path, module: str) -> tuple[ast.Module, list[str]]:
-    """A source without its docstrings, and the modules of the package that its imports may mean, with the packages
-    around them."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+@functools.cache
+def _read(text: str, module: str, is_package: bool) -> tuple[str, tuple[str, ...]]:
+    """Digest of a source without its docstrings, and the modules of the package that its imports may mean, with the
+    packages around them."""
+    tree = ast.parse(text)
     here = ["takeapart", *module.split(".")]
-    above = here if path.name == "__init__.py" else here[:-1]
+    above = here if is_package else here[:-1]
     names: list[str] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -77,4 +79,5 @@ def _read(path: Path, module: str) -> tuple[ast.Module, list[str]]:
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and type(first.value.value) is str:
                 del node.body[0]
     own = [name.split(".")[1:] for name in names if name.startswith("takeapart.")]
-    return tree, [".".join(parts[:k]) for parts in own for k in range(1, len(parts) + 1)]
+    around = tuple(".".join(parts[:k]) for parts in own for k in range(1, len(parts) + 1))
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest(), around

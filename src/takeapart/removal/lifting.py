@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +12,15 @@ from numpy.typing import NDArray
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox, box_separation
 from takeapart.removal.exits import Exit
-from takeapart.stability.contact import distance
+from takeapart.stability.contact import distances
 
 CONTACT_TOLERANCE = 1e-4  # m; what touches at the start may overlap by this much, as in `Assembly`
 ROUNDING = 1e-9  # m
 HEIGHT_STEP = 1e-9  # m, to which the height of a contact is found
+KEPT = 2000  # boxes of which it is kept what they meet
+
+# What a box meets, by all that decides it: a product is asked about again where a refusal is explained.
+_met: dict[tuple[object, ...], tuple[int, ...]] = {}
 
 
 def swept_up_separation(box: OrientedBox, height: float, T: Array, half: Array) -> Array:
@@ -69,9 +75,20 @@ def passes_too_close(box: OrientedBox, height: float, passing: float, T: Array, 
     """
     separation = swept_up_separation(box, height, T, half)
     near = separation < passing - ROUNDING
-    for k in np.flatnonzero(near & (separation >= -CONTACT_TOLERANCE)):
-        near[k] = distance([box], [OrientedBox(T[k], half[k])]) > passing
+    doubtful = np.flatnonzero(near & (separation >= -CONTACT_TOLERANCE))
+    if len(doubtful):
+        T_box = np.repeat(box.T_frame_box[None], len(doubtful), axis=0)
+        sizes = np.repeat(box.half_extents[None], len(doubtful), axis=0)
+        near[doubtful] = distances(T_box, sizes, T[doubtful], half[doubtful]) > passing
     return near
+
+
+def _meets(box: OrientedBox, height: float, clearance: float, passing: float, T: Array, half: Array) -> NDArray[Any]:
+    """Which of W boxes (W,) a lifted box meets on its way, or at the end."""
+    T_lifted = np.repeat(box.T_frame_box[None], len(T), axis=0)
+    T_lifted[:, 2, 3] += height
+    ends = box_separation(T_lifted, np.repeat(box.half_extents[None], len(T), axis=0), T, half) < clearance
+    return np.asarray(ends | passes_too_close(box, height, passing, T, half))
 
 
 def lift_blockers(
@@ -101,19 +118,20 @@ def lift_blockers(
     owner = np.array(owners)
     T = np.array([box.T_frame_box for box in boxes])
     half = np.array([box.half_extents for box in boxes])
+    stamp = hashlib.sha256(T.tobytes() + half.tobytes()).digest()
     found: list[int | None] = []
     for i, part in enumerate(assembly.parts):
         hit: set[int] = set()
         others = np.nonzero(owner != i)[0]
-        for number, box in enumerate(bodies):
+        for number in range(len(bodies)):
             if owner[number] == i:
-                passed = passes_too_close(box, height, passing, T[others], half[others])
-                hit.update(owner[others[passed]].tolist())
-                T_lifted = np.repeat(box.T_frame_box[None], len(others), axis=0)
-                T_lifted[:, 2, 3] += height
-                sizes = np.repeat(box.half_extents[None], len(others), axis=0)
-                apart = box_separation(T_lifted, sizes, T[others], half[others])
-                hit.update(owner[others[apart < clearance]].tolist())
+                key = (stamp, number, others.tobytes(), height, clearance, passing)
+                if key not in _met:
+                    if len(_met) >= KEPT:
+                        _met.clear()
+                    rows = _meets(boxes[number], height, clearance, passing, T[others], half[others])
+                    _met[key] = tuple(others[rows].tolist())
+                hit.update(owner[list(_met[key])].tolist())
         permanent = part.fixed or any(k < 0 or assembly.parts[k].fixed for k in hit)
         found.append(None if permanent else sum(1 << k for k in hit))
     return found

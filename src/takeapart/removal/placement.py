@@ -164,7 +164,12 @@ def _require_free_home(assembly: Assembly, workcell: Workcell, robot: RobotModel
         for bodies in (_permanent(assembly, workcell), _removable(assembly))
         for name, box in bodies
     ]
-    meetings = [(overlap_depth(corners, others), link, name) for link, corners in bodies for name, others in around]
+    meetings = [
+        (overlap_depth(corners, others), link, name)
+        for link, corners in bodies
+        for name, others in around
+        if (corners.max(axis=0) >= others.min(axis=0)).all() and (corners.min(axis=0) <= others.max(axis=0)).all()
+    ]
     meetings += [
         (overlap_depth(links[pair.first], links[pair.second]), robot.bodies[pair.first], robot.bodies[pair.second])
         for pair in robot.pairs

@@ -11,6 +11,8 @@ import numpy as np
 from takeapart.model.geometry import Array, OrientedBox, box_separation
 
 TOUCHING = 1e-3 + 1e-6  # m; bodies further apart do not touch (and rounding)
+SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3) of the corners of a box
+EDGES = [(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit]  # numbers of their corners
 STEEPEST_SEAT = math.cos(math.radians(45)) - 1e-9  # a face that is steeper carries nothing by contact alone
 
 
@@ -19,40 +21,53 @@ def distance(first: Sequence[OrientedBox], second: Sequence[OrientedBox]) -> flo
     pairs = list(product(first, second))
     T_a, T_b = (np.array([pair[k].T_frame_box for pair in pairs]) for k in (0, 1))
     half_a, half_b = (np.array([pair[k].half_extents for pair in pairs]) for k in (0, 1))
-    separation = box_separation(T_a, half_a, T_b, half_b)
-    least = math.inf
-    for k in np.argsort(separation):  # a lower bound of the distance
-        if separation[k] >= least:
-            break
-        least = min(least, float(separation[k]) if separation[k] <= 0 else _apart(*pairs[k]))
-    return least
+    separation = box_separation(T_a, half_a, T_b, half_b)  # a lower bound of the distance
+    likely = separation == separation.min()
+    if (separation[likely] <= 0).any():
+        return float(separation.min())
+    least = float(_apart(T_a[likely], half_a[likely], T_b[likely], half_b[likely]).min())
+    others = (separation < least) & ~likely
+    return float(_apart(T_a[others], half_a[others], T_b[others], half_b[others]).min(initial=least))
 
 
-def _apart(a: OrientedBox, b: OrientedBox) -> float:
-    """Distance of two boxes that do not overlap: of a corner of one and the other, or of two edges."""
-    corners = min(_from_points(a, b.corners()), _from_points(b, a.corners()))
-    return min(corners, _of_edges(_edges(a), _edges(b)))
+def distances(T_a: Array, half_a: Array, T_b: Array, half_b: Array) -> Array:
+    """Distances (N,), m, of pairs of boxes, given as in `box_separation`; not above 0 where they touch."""
+    found = box_separation(T_a, half_a, T_b, half_b)
+    apart = found > 0
+    if apart.any():
+        found[apart] = _apart(T_a[apart], half_a[apart], T_b[apart], half_b[apart])
+    return found
 
 
-def _from_points(box: OrientedBox, points: Array) -> float:
-    """Least distance of a box from points (N, 3)."""
-    local = (points - box.T_frame_box[:3, 3]) @ box.T_frame_box[:3, :3]
-    return float(np.linalg.norm(np.maximum(np.abs(local) - box.half_extents, 0.0), axis=1).min())
+def _apart(T_a: Array, half_a: Array, T_b: Array, half_b: Array) -> Array:
+    """Distances (N,) of boxes that do not overlap: of a corner of one and the other, or of two edges."""
+    a, b = _corners(T_a, half_a), _corners(T_b, half_b)
+    corners = np.minimum(_from_points(T_a, half_a, b), _from_points(T_b, half_b, a))
+    return np.minimum(corners, _of_edges(_edges(a), _edges(b)))
 
 
-def _edges(box: OrientedBox) -> tuple[Array, Array]:
-    """First ends (12, 3) and ways to the other ends (12, 3)."""
-    corners = box.corners()
-    pairs = [(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit]
-    first, last = (corners[[pair[k] for pair in pairs]] for k in (0, 1))
+def _corners(T: Array, half: Array) -> Array:
+    """(N, 8, 3), in the order of `OrientedBox.corners`."""
+    return np.asarray((SIGNS * half[:, None]) @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3])
+
+
+def _from_points(T: Array, half: Array, points: Array) -> Array:
+    """Least distance (N,) of each box from points (N, K, 3) of its own."""
+    local = (points - T[:, None, :3, 3]) @ T[:, :3, :3]
+    return np.asarray(np.linalg.norm(np.maximum(np.abs(local) - half[:, None], 0.0), axis=2).min(axis=1))
+
+
+def _edges(corners: Array) -> tuple[Array, Array]:
+    """First ends (N, 12, 3) and ways to the other ends (N, 12, 3)."""
+    first, last = (corners[:, [pair[k] for pair in EDGES]] for k in (0, 1))
     return first, last - first
 
 
-def _of_edges(first: tuple[Array, Array], second: tuple[Array, Array]) -> float:
-    """Least distance of the inner points of edges, Ericson: Real-Time Collision Detection, 5.1.9; edges whose nearest
-    points are ends are left to the corners."""
-    p, u = (value[:, None] for value in first)
-    q, v = (value[None, :] for value in second)
+def _of_edges(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+    """Least distance (N,) of the inner points of edges, Ericson: Real-Time Collision Detection, 5.1.9; edges whose
+    nearest points are ends are left to the corners."""
+    p, u = (value[:, :, None] for value in first)
+    q, v = (value[:, None, :] for value in second)
     w = p - q
     uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
     uw, vw = (u * w).sum(-1), (v * w).sum(-1)
@@ -62,7 +77,7 @@ def _of_edges(first: tuple[Array, Array], second: tuple[Array, Array]) -> float:
     s, t = (uv * vw - vv * uw) / scale, (uu * vw - uv * uw) / scale
     inner = crossing & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
     gaps = np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
-    return float(gaps[inner].min()) if inner.any() else math.inf
+    return np.asarray(np.where(inner, gaps, np.inf).min(axis=(1, 2)))
 
 
 def seats(above: Sequence[OrientedBox], below: Sequence[OrientedBox], touching: float = TOUCHING) -> Array:

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
@@ -179,6 +177,9 @@ def _gaps(second: Facets, b: Integers, normals: Array, area: Polygons) -> Array:
 def _places(first: Facets, a: Integers, normals: Array) -> Integers:
     """(N,) numbers that tell apart places and directions: facets of the first body that hang together, and of these
     those with about one normal."""
+    from scipy.sparse import coo_array  # takes a fifth of a second to import, and products of boxes need no patches
+    from scipy.sparse.csgraph import connected_components
+
     count, rows = len(first.vertices), np.unique(a)
     ends = first.triangles[rows]
     links = coo_array((np.ones(2 * len(rows)), (np.tile(ends[:, 0], 2), ends[:, 1:].T.ravel())), shape=(count, count))

@@ -10,15 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, hstack
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
 from takeapart.stability.patches import ContactPatch
 from takeapart.stability.wedging import rubbing
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 GRAVITY = 9.81  # m/s^2
 SIDES = 8  # of a friction cone
@@ -122,6 +125,8 @@ class Statics:
             moments = np.cross(points - self.middles[body], forces) / self.size
             values.append(sign * np.hstack([forces, moments]))
             rows.append(6 * body[:, None] + np.arange(6))
+        from scipy.sparse import csc_array  # heavy; most products need no statics
+
         entries = (np.hstack(values).ravel(), (np.hstack(rows).ravel(), np.repeat(np.arange(len(points)), 12)))
         self.matrix = csc_array(entries, shape=(6 * len(parts), len(points)))
 
@@ -152,6 +157,8 @@ class Statics:
             stronger: joints are this many times as strong as they are.
             smooth: without friction, which is quicker: what stands so stands with it.
         """
+        from scipy.sparse import csc_array, hstack
+
         chosen = self._columns_of(loose, standing, smooth)
         rows = (6 * np.asarray(loose)[:, None] + np.arange(6)).ravel()
         weights = self.weights[list(loose)]
