@@ -47,6 +47,7 @@ PLACES = 9  # of a direction, along the longer side of the map
 PIXELS = 100  # along the longest side of a map
 FINEST_PIXEL, COARSEST_PIXEL = 0.0004, 0.0015  # m
 WIDTH_STEP = 1e-4  # m; the hand is looked at once for each opening
+NEARBY = 3.0  # of the pads' half width; grasps as wide as that are looked for again only further away
 SAME_PLACE, SAME_TURN = 0.006, math.cos(math.radians(20))
 LARGE_FLAT, SMALL_FLAT = 0.05, 0.01  # of the surface; flat faces that suggest a closing direction
 NEAR, ROUND = math.cos(math.radians(5)), math.cos(math.radians(14))  # of closing directions that are alike
@@ -123,12 +124,15 @@ def _grasps(
         pairs = np.column_stack([pairs, pairs[:, :2], pairs[:, :2]])
         spans = pairs[:, 3] - pairs[:, 2]
         narrowest = min(narrowest, float(spans.min(initial=math.inf)))
-        widths = held.add(view, axes, pairs[(spans <= opening + 1e-9) & (spans > 1e-4)])
-        # Teeth, ribs and the like: pads rest on what stands out beside the place, where nothing that wide is held yet.
-        pairs = closings(view, places, float(_fingers(description, 0.0).pad[1]), WIDTH_STEP, least_cosine)
-        spans = pairs[:, 3] - pairs[:, 2]
-        new = (np.abs(spans[:, None] - widths) > GIVES_WAY).all(axis=1)
-        held.add(view, axes, pairs[new & (spans <= opening + 1e-9)])
+        good = held.add(view, axes, pairs[(spans <= opening + 1e-9) & (spans > 1e-4)])
+        # Teeth, ribs, slots: pads rest on what stands out beside the place, where nothing that wide is held nearby.
+        half_width = float(_fingers(description, 0.0).pad[1])
+        pairs = closings(view, places, half_width, WIDTH_STEP, least_cosine)
+        pairs = pairs[pairs[:, 3] - pairs[:, 2] <= opening + 1e-9]
+        points = view.origin + (pairs[:, :2] + 0.5) * view.pixel
+        near = np.linalg.norm(points[:, None] - good[:, :2], axis=2) <= NEARBY * half_width
+        alike = np.abs((pairs[:, 3] - pairs[:, 2])[:, None] - good[:, 2]) <= GIVES_WAY
+        held.add(view, axes, pairs[~(near & alike).any(axis=1)])
     candidates = _spread_out(*held.all())
     return MeshGrasps(candidates, narrowest, held.contact, held.blocked and not candidates)
 
@@ -162,11 +166,11 @@ class _Held:
             pairs: (N, 8), see `closings`.
 
         Returns:
-            (K,) m, how wide they are.
+            (K, 3) m, where they are along e1 and e2, and how wide they are.
         """
-        found_widths = [np.empty(0)]
+        grasps = [np.empty((0, 3))]
         if not len(pairs):
-            return found_widths[0]
+            return grasps[0]
         opening = self._description.maximum_opening
         tries = _tries(view, _by_distance(view, pairs, axes @ self._center), self._description)
         for fingers, rows in _by_width(tries, self._description):
@@ -185,8 +189,8 @@ class _Held:
             steep = T[:, :3, 2] @ self._down
             costs = levers / self._size + 0.3 * (1 - touched[good] / fingers.pad_area) + 0.25 * (1 - steep)
             self._found.append((T, widths, costs, steep))
-            found_widths.append(widths)
-        return np.unique(np.concatenate(found_widths))
+            grasps.append(np.column_stack([rows[good, :2], rows[good, 5] - rows[good, 4]]))
+        return np.concatenate(grasps)
 
 
 def _closing_directions(shape: Shape, surface: TriangleMesh, normals: Array, areas: Array) -> Array:
