@@ -424,7 +424,7 @@ def test_masks_with_every_body_numbered_are_those_of_the_planner(planner: Remova
 def test_reasons_of_meshes_measure_no_ways_out_again(
     robot: RobotModel, workcell: Workcell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A plug in a fixed socket, whose cap is above it, on a table of 1.6 m: the field of a table alone takes seconds."""
+    """A plug in a fixed socket, whose cap is above it, on a table of 1.6 m, whose field would take seconds."""
     plug = block("plug", [0.1, 0.2, 0.03], (0.02, 0.02, 0.06), fixed=False)
     cap = block("cap", [0.1, 0.2, 0.071], (0.03, 0.03, 0.02), fixed=False)
     walls = [

@@ -77,7 +77,7 @@ def test_ways_through_parts_that_wait_for_this_one_do_not_crowd_out_others() -> 
     wheel, shaft, caps = 0, 1, 0b1100
     sideways = [way(1 << shaft, (np.cos(k), np.sin(k), 0), 0.05) for k in range(12)]
     ways = {
-        wheel: tuple([*sideways, way(caps)]),
+        wheel: (*sideways, way(caps)),
         shaft: (way(1 << wheel),),
         2: (way(0),),
         3: (way(0b100),),
@@ -89,3 +89,8 @@ def test_ways_through_parts_that_wait_for_this_one_do_not_crowd_out_others() -> 
 def test_a_longer_way_past_more_parts_is_worse() -> None:
     short, longer, other, closed = way(0b01), way(0b11, length=0.2), way(0b10), way(None)
     assert without_worse([longer, closed, other, short]) == (other, short)
+
+
+def test_a_way_about_where_a_better_one_goes_is_none_of_its_own() -> None:
+    up, leaning, aside = way(1), way(1, (0.05, -0.13, 0.99)), way(1, (1, 0, 0))
+    assert without_worse([leaning, aside, up]) == (up, aside)

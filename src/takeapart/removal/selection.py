@@ -14,6 +14,9 @@ from takeapart.states import members
 MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
+OTHER_WAY = math.cos(
+    math.radians(25)
+)  # ways that hit the same and differ by less are one: the arm follows both or none
 
 
 class _Way(Protocol):
@@ -27,11 +30,13 @@ WayOut = TypeVar("WayOut", bound=_Way)
 
 
 def without_worse(ways: Iterable[WayOut]) -> tuple[WayOut, ...]:
-    """The open ones among the ways out of a part, the best first, without those that hit more than a shorter one."""
+    """The open ones among the ways out of a part, the best first, without those that hit more than a shorter one, and
+    without those that go about where a better one goes."""
     kept: list[WayOut] = []
     for way in sorted((way for way in ways if way.blockers is not None), key=_preference):
         better = [other for other in kept if is_no_worse(other, way)]
-        if not better or (len(better) <= ALIKE and better[0].blockers == way.blockers):
+        alike = better and len(better) <= ALIKE and better[0].blockers == way.blockers
+        if not better or (alike and all(float(_way_of(way) @ _way_of(other)) < OTHER_WAY for other in better)):
             kept.append(way)
     return tuple(kept)
 
@@ -89,6 +94,12 @@ def _preference(way: _Way) -> tuple[int, int, float, float]:
     assert way.blockers is not None
     rise = _rise(way)
     return way.blockers.bit_count(), int(rise < -0.05), round(-rise, 6), round(_length(way), 6)
+
+
+def _way_of(way: _Way) -> Array:
+    """Unit vector from start to end."""
+    shift = way.poses[-1, :3, 3] - way.poses[0, :3, 3]
+    return np.asarray(shift / max(float(np.linalg.norm(shift)), 1e-12))
 
 
 def _rise(way: _Way) -> float:
