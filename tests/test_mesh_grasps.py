@@ -9,9 +9,11 @@ import manifold3d  # type: ignore[import-not-found, unused-ignore]
 import numpy as np
 import pytest
 import trimesh
+from shapely.geometry import Point
 from trimesh.path.polygons import Polygon
 
 from takeapart.formats.files import data_path, load_workcell
+from takeapart.generate.products.solids import gear_outline
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Array, Box, OrientedBox, TriangleMesh, pose, pose_inverse
 from takeapart.model.meshes import Mesh
@@ -53,6 +55,12 @@ def cylinder(sections: int = 48) -> trimesh.Trimesh:
     return trimesh.creation.cylinder(0.02, 0.1, sections=sections)
 
 
+def gear(teeth: int, module: float = 0.002, height: float = 0.012) -> trimesh.Trimesh:
+    """A spur gear along z with a bore, a tooth on the x axis."""
+    rim = Polygon(np.array(gear_outline(1e3 * module, teeth, 0.3)) / 1e3)
+    return trimesh.creation.extrude_polygon(rim.difference(Point(0, 0).buffer(0.008)), height)
+
+
 BODIES = {
     "cylinder": cylinder(),
     "plate": profile((0, 0), (0.2, 0), (0.2, 0.12), (0.1, 0.12), (0.1, 0.15), (0, 0.15), height=0.005),
@@ -61,6 +69,7 @@ BODIES = {
     "ring": trimesh.creation.annulus(0.02, 0.03, 0.02),
     "bracket": profile((0, 0), (0.08, 0), (0.08, 0.01), (0.01, 0.01), (0.01, 0.06), (0, 0.06), height=0.03),
     "shaft": trimesh.creation.cylinder(0.004, 0.1, sections=32),
+    "gear": gear(32),
 }
 
 
@@ -134,6 +143,19 @@ def test_what_closes_where() -> None:
     assert np.abs(closings("washer")[:, 2]).min() > 1 - 1e-9
     widths = {round(grasp.width, 4) for grasp in shortest_first(part_of(BODIES["bracket"]), cell())}
     assert {0.03, 0.01} <= widths <= {0.01, 0.03, 0.06, 0.08}
+
+
+@pytest.mark.parametrize("teeth", [18, 19, 32])
+def test_a_gear_is_gripped_by_its_teeth_too(teeth: int) -> None:
+    """A tooth's tip alone is too narrow for a pad, which rests on two of them, or on two and on one opposite."""
+    body = gear(teeth)
+    found = shortest_first(part_of(body), cell())
+    across = [grasp for grasp in found if abs(grasp.T_part_tool[2, 1]) < 1e-9]
+    assert across and len(across) < len(found)  # others close on its faces
+    tips = 0.002 * (teeth + 2)  # m
+    for grasp in across:
+        assert tips * math.cos(math.pi / teeth) - 0.001 < grasp.width < tips + 0.001
+        assert (pad_hits(body, grasp) * 4 * PAD[0] * PAD[1] >= 0.8 * LEAST_CONTACT).all()
 
 
 def test_the_hand_comes_from_above_where_it_can() -> None:

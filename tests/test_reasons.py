@@ -421,6 +421,50 @@ def test_masks_with_every_body_numbered_are_those_of_the_planner(planner: Remova
     assert compared > 50
 
 
+def test_reasons_of_meshes_measure_no_ways_out_again(
+    robot: RobotModel, workcell: Workcell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plug in a fixed socket, whose cap is above it, on a table of 1.6 m, whose field would take seconds."""
+    plug = block("plug", [0.1, 0.2, 0.03], (0.02, 0.02, 0.06), fixed=False)
+    cap = block("cap", [0.1, 0.2, 0.071], (0.03, 0.03, 0.02), fixed=False)
+    walls = [
+        block(f"wall{k}", [0.1 + 0.02 * x, 0.2 + 0.02 * y, 0.02], (0.0198, 0.0198, 0.04))
+        for k, (x, y) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)])
+    ]
+    bodies = [replace(each, shape=Mesh(each.shape.surface())) for each in (plug, cap, *walls)]
+    planner = planner_of(robot, workcell, *bodies)
+    monkeypatch.setattr("takeapart.removal.planner.Contacts", None)
+    monkeypatch.setattr("takeapart.removal.planner.Exits", None)
+    reason = asked(planner)
+    assert reason.cause == "lift" and reason.blamed == ("cap",)
+    assert "up it hits cap after" in reason.text
+    named = Reasons(planner).named
+    permanent = (1 << len(named.assembly.parts)) - 1 & ~planner.assembly.root
+    hands = planner.reach.hands(0, planner.workspace())
+    others = named.reach.hands(0, named.workspace())
+    compared = 0
+    for hand, other in zip(hands, others, strict=True):
+        closed = other.way is None or other.way & permanent
+        assert hand.way == (None if closed else other.way)
+        compared += not closed
+    assert 0 < compared < len(hands)
+
+
+def test_a_way_into_what_never_leaves_names_it(robot: RobotModel, workcell: Workcell) -> None:
+    """A plug that stands between a floor and a roof, in a shaft as wide as itself."""
+    plug = block("plug", [0.1, 0.2, 0.05], (0.02, 0.02, 0.04), fixed=False)
+    walls = [
+        block(f"wall{k}", [0.1 + 0.02 * x, 0.2 + 0.02 * y, 0.05], (0.0198, 0.0198, 0.04))
+        for k, (x, y) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)])
+    ]
+    ends = [block("floor", [0.1, 0.2, 0.02], (0.06, 0.06, 0.02)), block("roof", [0.1, 0.2, 0.085], (0.06, 0.06, 0.02))]
+    bodies = [replace(each, shape=Mesh(each.shape.surface())) for each in (plug, *walls, *ends)]
+    reason = asked(planner_of(robot, workcell, *bodies))
+    assert reason.cause == "lift"
+    assert "up it hits roof after" in reason.text
+    assert "roof" in dict(reason.hits) and reason.blamed
+
+
 def test_nothing_is_worked_out_before_somebody_asks() -> None:
     options = PlanningOptions(search="greedy")
     problem = build_problem(three_bars(), scene_workcell(), options)

@@ -126,6 +126,7 @@ def units(orders: bool) -> dict[str, Unit]:
         (contact_maps.lengths_behind, (view, two, two, 0.0, 0)),
         (contact_maps.crossings, (three, one, one, 0.0, int32)),
         (contact_maps.pinches, (view, np.zeros((1, 1), np.int32), 0.0, 0)),
+        (contact_maps.closings, (view, np.zeros((1, 1), np.int32), 0.0, 0.0, 0.0)),
         (contact_maps.lengths_along, (view, two, two, 0.0, 0.0)),
     ]
     field, cloud, tree = example(fields.Field), example(points.Cloud), example(triangles.TriangleTree)

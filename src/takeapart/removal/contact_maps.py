@@ -114,33 +114,89 @@ def pinches(view: ContactMap, places: Integers, least_cosine: float, most: int) 
 
 
 @compiled
+def closings(view: ContactMap, places: Integers, half_width: float, alike: float, least_cosine: float) -> Floats:
+    """Where flat pads come to rest that close from outside of the body: around each pixel (P, 2) that has any of it,
+    within a half width, m, what stands out most on both sides, if its normals lie in the friction cones.
+
+    Args:
+        alike: m; of what stands out as far as that, the nearest to the pixel counts.
+
+    Returns:
+        (N, 8): the pixel, the heights of the two surfaces, m, and the pixels where they are.
+    """
+    found = np.empty((len(places), 8))
+    count = 0
+    reach = int(np.ceil(half_width / view.pixel))
+    for p in range(len(places)):
+        i, j = places[p, 0], places[p, 1]
+        if view.starts[i * view.shape[1] + j] == view.starts[i * view.shape[1] + j + 1]:
+            continue
+        low, high, near_low, near_high = np.inf, -np.inf, np.inf, np.inf
+        cosine_low, cosine_high = 0.0, 0.0
+        for turn in range(2):  # how far it stands out, then where
+            for a in range(max(0, i - reach), min(view.shape[0], i + reach + 1)):
+                for b in range(max(0, j - reach), min(view.shape[1], j + reach + 1)):
+                    k = a * view.shape[1] + b
+                    first, last = view.starts[k], view.starts[k + 1] - 1
+                    apart = np.hypot(a - i, b - j)
+                    if first > last or apart * view.pixel > half_width:
+                        continue
+                    if turn == 0:
+                        low, high = min(low, view.heights[first]), max(high, view.heights[last])
+                        continue
+                    if view.heights[first] <= low + alike and apart < near_low:
+                        near_low, cosine_low = apart, view.cosines[first]
+                        found[count, 4], found[count, 5] = a, b
+                    if view.heights[last] >= high - alike and apart < near_high:
+                        near_high, cosine_high = apart, view.cosines[last]
+                        found[count, 6], found[count, 7] = a, b
+        if cosine_low <= -least_cosine and cosine_high >= least_cosine:
+            found[count, 0], found[count, 1], found[count, 2], found[count, 3] = i, j, low, high
+            count += 1
+    return found[:count]
+
+
+@compiled
 def lengths_along(view: ContactMap, contacts: Floats, ways: Floats, most: float, tolerance: float) -> Floats:
-    """How far each contact (N, 4), position along e1 and e2 and two heights, goes on along each of directions (W, 2),
-    m, at most: (N, W, 2), first both surfaces, then any of the body between them."""
+    """How far each contact (N, 8), position along e1 and e2, two heights and the positions of the surfaces there, goes
+    on along each of directions (W, 2), m, at most: (N, W, 2), first both surfaces, then any of the body between."""
     lengths = np.empty((len(contacts), len(ways), 2))
     for n in range(len(contacts)):
         low, high = contacts[n, 2] - tolerance, contacts[n, 3] + tolerance
         for w in range(len(ways)):
             length, surfaces, touches = 0.0, 0.0, True
             while length < most:
-                i = int(np.floor((contacts[n, 0] + length * ways[w, 0] - view.origin[0]) / view.pixel))
-                j = int(np.floor((contacts[n, 1] + length * ways[w, 1] - view.origin[1]) / view.pixel))
-                if not (0 <= i < view.shape[0] and 0 <= j < view.shape[1]):
+                if not _crosses(view, contacts[n, 0], contacts[n, 1], ways[w], length, low, high):
                     break
-                lower, upper, between = False, False, False
-                for c in range(view.starts[i * view.shape[1] + j], view.starts[i * view.shape[1] + j + 1]):
-                    height = view.heights[c]
-                    lower = lower or abs(height - contacts[n, 2]) <= tolerance
-                    upper = upper or abs(height - contacts[n, 3]) <= tolerance
-                    between = between or low <= height <= high
-                if not between:
-                    break
-                touches = touches and lower and upper
+                for side in range(2):
+                    at, height = 4 + 2 * side, contacts[n, 2 + side]
+                    touches = touches and _crosses(
+                        view,
+                        contacts[n, at],
+                        contacts[n, at + 1],
+                        ways[w],
+                        length,
+                        height - tolerance,
+                        height + tolerance,
+                    )
                 length += view.pixel
                 if touches:
                     surfaces = length
             lengths[n, w, 0], lengths[n, w, 1] = min(surfaces, most), min(length, most)
     return lengths
+
+
+@compiled
+def _crosses(view: ContactMap, u: float, v: float, way: Floats, length: float, low: float, high: float) -> bool:
+    """Whether a surface is crossed between two heights, m, at a length along a way from a position."""
+    i = int(np.floor((u + length * way[0] - view.origin[0]) / view.pixel))
+    j = int(np.floor((v + length * way[1] - view.origin[1]) / view.pixel))
+    if not (0 <= i < view.shape[0] and 0 <= j < view.shape[1]):
+        return False
+    for c in range(view.starts[i * view.shape[1] + j], view.starts[i * view.shape[1] + j + 1]):
+        if low <= view.heights[c] <= high:
+            return True
+    return False
 
 
 @compiled

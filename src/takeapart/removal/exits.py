@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,6 +15,7 @@ from takeapart.model.geometry import Array, OrientedBox
 from takeapart.removal.directions import directions_of, sphere
 from takeapart.removal.endings import APART, bounds_of, ending, only, raised
 from takeapart.removal.pushes import Pushes, Way, unscrewed
+from takeapart.removal.selection import MOST_EXITS, is_no_worse, leaving_before, selected, stuck, without_worse
 from takeapart.removal.surroundings import Pair, Stand, Surroundings, Sweep
 from takeapart.states import members
 
@@ -57,9 +57,6 @@ class ExitRule(Protocol):
 
 
 MOST_TRAVEL = 2.0  # m
-MOST_EXITS = 8  # of a part
-ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
-SAME_LENGTH = 0.01  # m
 AXES = 5  # of the directions of a part, the world's: along these it leaves after pushes
 UP = np.array([0.0, 0.0, 1.0])
 LEVEL = 0.05  # sine; a way sideways is less steep
@@ -99,9 +96,11 @@ class Exits:
         with what they hit."""
         if part not in self._exits:
             ways = self._of(part)
+            leaving = self._assembly.root
             if ways and not any(way.blockers == 0 for way in ways):
                 ways = self._untangled.get(part, ways)
-            self._exits[part] = ways
+                leaving = leaving_before(part, self._untangled)
+            self._exits[part] = selected(ways, leaving)
         return self._exits[part]
 
     def _of(self, part: int) -> tuple[Exit, ...]:
@@ -123,12 +122,7 @@ class Exits:
         if not open_:
             winding, pushes = self._winding(part, range(self._around.bodies))
             return (winding,) if winding else tuple(replace(way, pushes=pushes) for way in found[:MOST_EXITS])
-        kept: list[Exit] = []
-        for way in sorted(open_, key=_preference):
-            better = [other for other in kept if _is_no_worse(other, way)]
-            if not better or (len(better) <= ALIKE and better[0].blockers == way.blockers):
-                kept.append(way)
-        return tuple(kept[:MOST_EXITS])
+        return without_worse(open_)
 
     @cached_property
     def _untangled(self) -> dict[int, tuple[Exit, ...]]:
@@ -137,15 +131,15 @@ class Exits:
         parts = [part for part, body in enumerate(self._assembly.parts) if not body.fixed]
         ways = {part: self._of(part) for part in parts}
         while True:
-            stuck = _stuck(ways)
-            if stuck.bit_count() > MOST_WAITING:
+            waiting = stuck(ways)
+            if waiting.bit_count() > MOST_WAITING:
                 return ways
             permanent = [body for body in range(self._around.bodies) if self._around.never_leaves(body)]
             freed = False
-            for part in members(stuck):
-                if stuck == self._assembly.root and all(way.blockers is None for way in ways[part]):
+            for part in members(waiting):
+                if waiting == self._assembly.root and all(way.blockers is None for way in ways[part]):
                     continue  # tried among the same parts before
-                way, pushes = self._winding(part, [*members(stuck), *permanent])
+                way, pushes = self._winding(part, [*members(waiting), *permanent])
                 if way is not None:
                     ways[part] = (*(each for each in ways[part] if each.blockers is not None), way)
                     freed = True
@@ -241,45 +235,13 @@ class Exits:
         told = [(body, after) for body, after in sweep.hits if after <= turn.length]
         told += [(body, turn.length + after) for body, after in last.hits if body not in met]
         found = Exit("pushes", poses, self._blockers(met | {body for body, _ in last.hits}), None, tuple(told))
-        worse = way.blockers is not None and _is_no_worse(way, found)
+        worse = way.blockers is not None and is_no_worse(way, found)
         return None if worse else found
 
 
 def _product(assembly: Assembly) -> Array:
     corners = [part.shape.bounding_box().moved(part.T_world_part).corners() for part in assembly.parts]
     return np.concatenate(corners)
-
-
-def _stuck(ways: dict[int, tuple[Exit, ...]]) -> int:
-    """State of the parts that cannot leave in any order, whatever else keeps them."""
-    state = sum(1 << part for part in ways)
-    while True:
-        free = [
-            part
-            for part in members(state)
-            if any(way.blockers is not None and not way.blockers & state for way in ways[part])
-        ]
-        if not free:
-            return state
-        state &= ~sum(1 << part for part in free)
-
-
-def _preference(way: Exit) -> tuple[int, int, float, float]:
-    """Few blockers first, then upwards, then short."""
-    assert way.blockers is not None
-    length = _length(way)
-    rise = float(way.poses[-1, 2, 3] - way.poses[0, 2, 3]) / length
-    return way.blockers.bit_count(), int(rise < -0.05), round(-rise, 6), round(length, 6)
-
-
-def _is_no_worse(other: Exit, way: Exit) -> bool:
-    """Whether an exit hits no part that another does not hit, and is no longer."""
-    assert way.blockers is not None and other.blockers is not None
-    return not other.blockers & ~way.blockers and _length(other) <= _length(way) + SAME_LENGTH
-
-
-def _length(way: Exit) -> float:
-    return math.fsum(np.linalg.norm(np.diff(way.poses[:, :3, 3], axis=0), axis=1))
 
 
 def _is_new(direction: Array, known: Sequence[Array]) -> bool:

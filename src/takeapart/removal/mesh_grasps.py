@@ -19,7 +19,15 @@ from takeapart.model.bounding import flat_directions
 from takeapart.model.description import RobotDescription
 from takeapart.model.geometry import Array, OrientedBox, Shape, TriangleMesh, pose_inverse
 from takeapart.removal.candidates import GraspCandidate
-from takeapart.removal.contact_maps import ContactMap, crossings, lengths_along, lengths_behind, pinches, touched_areas
+from takeapart.removal.contact_maps import (
+    ContactMap,
+    closings,
+    crossings,
+    lengths_along,
+    lengths_behind,
+    pinches,
+    touched_areas,
+)
 from takeapart.robot.arrays import Integers
 from takeapart.robot.gripper import gripper_boxes
 
@@ -39,6 +47,7 @@ PLACES = 9  # of a direction, along the longer side of the map
 PIXELS = 100  # along the longest side of a map
 FINEST_PIXEL, COARSEST_PIXEL = 0.0004, 0.0015  # m
 WIDTH_STEP = 1e-4  # m; the hand is looked at once for each opening
+NEARBY = 3.0  # of the pads' half width; grasps as wide as that are looked for again only further away
 SAME_PLACE, SAME_TURN = 0.006, math.cos(math.radians(20))
 LARGE_FLAT, SMALL_FLAT = 0.05, 0.01  # of the surface; flat faces that suggest a closing direction
 NEAR, ROUND = math.cos(math.radians(5)), math.cos(math.radians(14))  # of closing directions that are alike
@@ -102,49 +111,86 @@ def _grasps(
     key: _ByIdentity, down: tuple[float, float, float], description: RobotDescription, friction: float
 ) -> MeshGrasps:
     shape = key.shape
-    surface, center = shape.surface(), shape.center_of_mass()
-    opening, least_cosine = description.maximum_opening, 1 / math.hypot(1, friction)
-    narrowest, contact, blocked = math.inf, 0.0, False
-    chosen: list[tuple[Array, Array]] = []  # frame (3, 3) with rows e1, e2, d, and contacts (N, 5)
-    views: list[ContactMap] = []
+    surface, opening = shape.surface(), description.maximum_opening
+    least_cosine = 1 / math.hypot(1, friction)
+    narrowest = math.inf
+    held = _Held(shape, np.array(down), description, least_cosine)
     normals, areas = _normals(surface)
     for d in _closing_directions(shape, surface, normals, areas):
         axes = _axes_across(d, np.array(down), shape.bounding_box().T_frame_box[:3, :3])
         view = _view(surface, normals, axes)
-        pairs = pinches(view, _places(view, axes @ center), least_cosine, 6)
+        places = _places(view, axes @ shape.center_of_mass())
+        pairs = pinches(view, places, least_cosine, 6)
+        pairs = np.column_stack([pairs, pairs[:, :2], pairs[:, :2]])
         spans = pairs[:, 3] - pairs[:, 2]
-        if len(pairs):
-            narrowest = min(narrowest, float(spans.min()))
-        pairs = pairs[(spans <= opening + 1e-9) & (spans > 1e-4)]
-        if len(pairs):
-            chosen.append((axes, pairs))
-            views.append(view)
-    if not chosen:
-        return MeshGrasps((), narrowest, 0.0)
-    poses, widths, costs, steep = [np.empty((0, 4, 4))], [np.empty(0)], [np.empty(0)], [np.empty(0)]
-    size = float(np.linalg.norm(shape.bounding_box().half_extents))
-    for (axes, pairs), view in zip(chosen, views, strict=True):
-        tries = _tries(view, _by_distance(view, pairs, axes @ center), description)
-        for fingers, rows in _by_width(tries, description):
+        narrowest = min(narrowest, float(spans.min(initial=math.inf)))
+        good = held.add(view, axes, pairs[(spans <= opening + 1e-9) & (spans > 1e-4)])
+        # Teeth, ribs, slots: pads rest on what stands out beside the place, where nothing that wide is held nearby.
+        half_width = float(_fingers(description, 0.0).pad[1])
+        pairs = closings(view, places, half_width, WIDTH_STEP, least_cosine)
+        pairs = pairs[pairs[:, 3] - pairs[:, 2] <= opening + 1e-9]
+        points = view.origin + (pairs[:, :2] + 0.5) * view.pixel
+        near = np.linalg.norm(points[:, None] - good[:, :2], axis=2) <= NEARBY * half_width
+        alike = np.abs((pairs[:, 3] - pairs[:, 2])[:, None] - good[:, 2]) <= GIVES_WAY
+        held.add(view, axes, pairs[~(near & alike).any(axis=1)])
+    candidates = _spread_out(*held.all())
+    return MeshGrasps(candidates, narrowest, held.contact, held.blocked and not candidates)
+
+
+class _Held:
+    """Poses in which two pads hold a part.
+
+    Attributes:
+        contact, blocked: see `MeshGrasps`; `blocked` also where there are grasps.
+    """
+
+    def __init__(self, shape: Shape, down: Array, description: RobotDescription, least_cosine: float) -> None:
+        self._box, self._center, self._down = shape.bounding_box(), shape.center_of_mass(), down
+        self._description, self._least_cosine = description, least_cosine
+        self._size = float(np.linalg.norm(self._box.half_extents))
+        self._found: list[tuple[Array, Array, Array, Array]] = [
+            (np.empty((0, 4, 4)), np.empty(0), np.empty(0), np.empty(0))
+        ]
+        self.contact, self.blocked = 0.0, False
+
+    def all(self) -> tuple[Array, Array, Array, Array]:
+        """Poses (K, 4, 4), widths, m, costs and steepness (K,) of all that were added."""
+        poses, widths, costs, steep = (np.concatenate(each) for each in zip(*self._found, strict=True))
+        return poses, widths, costs, steep
+
+    def add(self, view: ContactMap, axes: Array, pairs: Array) -> Array:
+        """Looks for grasps along one closing direction.
+
+        Args:
+            axes: rows e1, e2, d.
+            pairs: (N, 8), see `closings`.
+
+        Returns:
+            (K, 3) m, where they are along e1 and e2, and how wide they are.
+        """
+        grasps = [np.empty((0, 3))]
+        if not len(pairs):
+            return grasps[0]
+        opening = self._description.maximum_opening
+        tries = _tries(view, _by_distance(view, pairs, axes @ self._center), self._description)
+        for fingers, rows in _by_width(tries, self._description):
             spread = np.maximum(0.0, (opening - (rows[:, 5] - rows[:, 4])) / 2)
             found = touched_areas(
-                view, rows, fingers.pad, fingers.bodies, fingers.palm, spread, GIVES_WAY, least_cosine
+                view, rows, fingers.pad, fingers.bodies, fingers.palm, spread, GIVES_WAY, self._least_cosine
             )
             touched = found[:, :2].min(axis=1)
-            contact = max(contact, float(touched.max(initial=0.0)))
-            blocked = blocked or bool((touched >= LEAST_CONTACT).any())
+            self.contact = max(self.contact, float(touched.max(initial=0.0)))
+            self.blocked = self.blocked or bool((touched >= LEAST_CONTACT).any())
             good = (touched >= LEAST_CONTACT) & (found[:, 2] > 0)
-            good &= _overhang(shape.bounding_box(), _poses(axes, rows)[:, :3, 3]) <= MOST_OVERHANG
+            good &= _overhang(self._box, _poses(axes, rows)[:, :3, 3]) <= MOST_OVERHANG
             T = _poses(axes, rows[good])
-            levers = np.linalg.norm(np.cross(center - T[:, :3, 3], axes[2]), axis=1)
-            poses.append(T)
-            widths.append(
-                np.minimum(opening, np.ceil((rows[good, 5] - rows[good, 4]) / WIDTH_STEP - 1e-3) * WIDTH_STEP)
-            )
-            steep.append(T[:, :3, 2] @ np.array(down))
-            costs.append(levers / size + 0.3 * (1 - touched[good] / fingers.pad_area) + 0.25 * (1 - steep[-1]))
-    candidates = _spread_out(*(np.concatenate(each) for each in (poses, widths, costs, steep)))
-    return MeshGrasps(candidates, narrowest, contact, blocked and not candidates)
+            widths = np.minimum(opening, np.ceil((rows[good, 5] - rows[good, 4]) / WIDTH_STEP - 1e-3) * WIDTH_STEP)
+            levers = np.linalg.norm(np.cross(self._center - T[:, :3, 3], axes[2]), axis=1)
+            steep = T[:, :3, 2] @ self._down
+            costs = levers / self._size + 0.3 * (1 - touched[good] / fingers.pad_area) + 0.25 * (1 - steep)
+            self._found.append((T, widths, costs, steep))
+            grasps.append(np.column_stack([rows[good, :2], rows[good, 5] - rows[good, 4]]))
+        return np.concatenate(grasps)
 
 
 def _closing_directions(shape: Shape, surface: TriangleMesh, normals: Array, areas: Array) -> Array:
@@ -206,15 +252,16 @@ def _places(view: ContactMap, center: Array) -> Integers:
 
 
 def _by_distance(view: ContactMap, pairs: Array, center: Array) -> Array:
-    """The contacts by their distance to the centre of mass: (N, 4) position along e1 and e2, heights, m."""
-    points = view.origin + (pairs[:, :2] + 0.5) * view.pixel
+    """The contacts by their distance to the centre of mass: (N, 8) position along e1 and e2, heights, positions of the
+    two surfaces, m."""
+    points, low, high = (view.origin + (pairs[:, k : k + 2] + 0.5) * view.pixel for k in (0, 4, 6))
     distances = np.linalg.norm(points - center[:2], axis=1)
     order = np.lexsort((-(pairs[:, 3] - pairs[:, 2]), np.round(distances, 5)))
-    return np.column_stack([points, pairs[:, 2:]])[order]
+    return np.column_stack([points, pairs[:, 2:4], low, high])[order]
 
 
 def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> Array:
-    """Grasps (K, 6), see `touched_areas`: along each approach direction at the first of the contacts (N, 4) that the
+    """Grasps (K, 6), see `touched_areas`: along each approach direction at the first of the contacts (N, 8) that the
     fingers are long enough for, with the contact in the middle of the pads unless the fingers' tips would stand out of
     the part, and with the tips a little before the contact's end."""
     fingers = _fingers(description, round(float(contacts[0, 3] - contacts[0, 2]), 3))
@@ -240,7 +287,7 @@ def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> 
         depths.append((surfaces < tip + less, np.where(retracts, back, 0.0) + less))
     for used, offset in depths:
         at = contacts[chosen, :2] - offset[:, None] * ways[way]
-        tries.append(np.column_stack([at, ways[way], contacts[chosen, 2:]])[used])
+        tries.append(np.column_stack([at, ways[way], contacts[chosen, 2:4]])[used])
     return np.concatenate(tries)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from takeapart.model.assembly import Assembly, Part
 from takeapart.model.geometry import Array, Box, OrientedBox
+from takeapart.removal.exits import Exit, ExitRule
 from takeapart.removal.grasps import LEAST_CONTACT, MeshGrasps, Unholdable, found_on_mesh, is_box, ungraspable
 from takeapart.removal.lifting import contact_height, lift_distance
 from takeapart.removal.margins import PLANNING_MARGIN, padding, passing
@@ -68,6 +69,27 @@ class _Bodies(Assembly):
 
     def __post_init__(self) -> None:
         pass
+
+
+class _NamedExits:
+    """The ways out that are known, for a planner to which what never leaves is as any other body: what a way hits of it
+    is a blocker too. Nothing is measured again: a table of metres would want a field as fine as that of a screw.
+
+    Args:
+        exits: whose hits number parts, then obstacles.
+    """
+
+    def __init__(self, exits: ExitRule) -> None:
+        self._exits = exits
+
+    def exits(self, part: int) -> tuple[Exit, ...]:
+        """As of the rule; what stays too near has no blockers still."""
+        return tuple(
+            way
+            if way.near or way.blockers is not None
+            else replace(way, blockers=sum(1 << body for body, _ in way.hits))
+            for way in self._exits.exits(part)
+        )
 
 
 class Reasons:
@@ -134,7 +156,8 @@ class Reasons:
             allowed_overlaps=(*self._assembly.allowed_overlaps, *combinations(permanent, 2)),
         )
         workcell = replace(self._workcell, environment=())
-        return RemovalPlanner(bodies, workcell, self._planner.options, self._planner.robot, is_placed=True)
+        exits = None if self._assembly.is_lifted else _NamedExits(self._planner.exits)
+        return RemovalPlanner(bodies, workcell, self._planner.options, self._planner.robot, is_placed=True, exits=exits)
 
     def _names(self, mask: int) -> tuple[str, ...]:
         return tuple(dict.fromkeys(self._bodies[i] for i in members(mask)))

@@ -30,7 +30,7 @@ def stand() -> Solid:
     body = cylinder(18.0, 0.0, STAND)
     for angle in ARMS:
         leg = block((0, -7, 0), (MOTOR + 4, 7, 8)) + block((MOTOR - 22, -13, 0), (MOTOR - 10, 13, BOTTOM + 4))
-        leg += block((58, -6, 20), (MOTOR - 15, 6, BOTTOM))
+        leg += block((58, -6, 8), (MOTOR - 15, 6, 30))  # hands reach around arms and plates above it
         leg -= block((MOTOR - 30, -WIDE / 2 - 0.15, BOTTOM), (MOTOR, WIDE / 2 + 0.15, BOTTOM + 9))
         body += leg.rotate([0, 0, angle])
     return body

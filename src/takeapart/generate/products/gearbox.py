@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from takeapart.generate.products.drawing import ALUMINIUM, BRASS, STEEL, Drawing
+from takeapart.generate.products.drawing import ALUMINIUM, BRASS, STEEL, Drawing, about_z
 from takeapart.generate.products.solids import (
     Solid,
     block,
@@ -20,14 +20,14 @@ MODULE, SMALL, LARGE, BACKLASH = 2.0, 18, 32, 0.3  # mm, teeth of pinions and wh
 APART = MODULE * (SMALL + LARGE) / 2  # mm, between shafts
 SHAFTS = {"input": -APART, "middle": 0.0, "output": APART}  # x, mm
 BORE, JOURNAL, RACE, SEAT = 6.0, 5.9, 16.0, 16.15  # mm, radii of bearings and of what they fit
-FLOOR, PLATE, BOSS = 15.0, 14.0, 20.0  # mm, heights: under the bearings, of the plate, of the seats' rims
+FLOOR, PLATE, BOSS = 15.0, 14.0, 18.0  # mm, heights: under the bearings, of the plate, of the seats' rims
 COLLAR, GEARS, SHOULDER = (
     27.0,
     31.0,
     67.0,
 )  # mm, heights: on the lower bearings, under the gears, under the upper bearings
 SCREWS = [(x, y) for x in (-76.0, 4.0, 84.0) for y in (-64.0, 64.0)]  # mm
-FLANGE = 22.0  # mm, height of its top
+FLANGE, COLUMNS = 22.0, 70.0  # mm, heights of their tops: the flange's, and of the columns through which screws go
 
 
 def bearing() -> Solid:
@@ -67,8 +67,10 @@ def cover() -> Solid:
             body -= cylinder(7.5, 70, 90, (x, 0))
     body += block((-32, -7, 88), (32, 7, 112))
     body -= cylinder(8.15, 70, 90, (0, 30), 24)
-    for at in SCREWS:
-        body -= cylinder(4.3, PLATE - 1, FLANGE + 1, at, 24)
+    for x, y in SCREWS:
+        web = block((x - 4, min(y, 0.66 * y), FLANGE - 1), (x + 4, max(y, 0.66 * y), COLUMNS - 14))
+        body += cylinder(9.0, FLANGE - 1, COLUMNS, (x, y)) + web
+        body -= cylinder(4.3, PLATE - 1, COLUMNS + 1, (x, y), 24)
     return body
 
 
@@ -98,5 +100,6 @@ def gearbox() -> Assembly:
     drawing.add("cover", cover(), ALUMINIUM)
     drawing.add("oil-plug", cap_screw(8.0, 9.0, 11.0, 12.0), BRASS, (0, 30, 88))
     for number, (x, y) in enumerate(SCREWS, 1):
-        drawing.add(f"screw-{number}", hexagon_screw(4.0, 18.0, 13.0, 12.0), STEEL, (x, y, FLANGE))
+        screw = hexagon_screw(4.0, COLUMNS - 4.0, 13.0, 12.0)
+        drawing.add(f"screw-{number}", screw, STEEL, (x, y, COLUMNS), about_z(30.0))
     return drawing.assembly()
