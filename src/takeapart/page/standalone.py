@@ -225,7 +225,7 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
     coarse = coarser(mesh, BROWSER_CELL)
     return {
         "color": [round(value, 3) for value in mesh.color],
-        **_triangles(*creased(np.asarray(coarse.vertices, dtype=float), coarse.faces)),
+        **_triangles(*creased(coarse.vertices, coarse.faces)),
     }
 
 
@@ -252,7 +252,8 @@ def _hull(meshes: Sequence[Mesh]) -> dict[str, Any]:
     """The convex hull of a link: what throws its shadow."""
     points = np.concatenate([mesh.vertices for mesh in meshes])
     coarse = np.unique(np.round(points / HULL_CELL), axis=0) * HULL_CELL
-    hull = trimesh.convex.convex_hull(coarse if len(coarse) > 3 else points)
+    is_thick = np.ptp(coarse, axis=0).min() >= 2 * HULL_CELL  # thinner ones may be flat in the grid
+    hull = trimesh.convex.convex_hull(coarse if is_thick else points)
     return {"positions": _packed(np.asarray(hull.vertices, dtype="<f4")), "faces": _packed(hull.faces.astype("<u2"))}
 
 

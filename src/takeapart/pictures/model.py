@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.model.errors import MissingExtraError
-from takeapart.model.geometry import OrientedBox, quaternion_from_rotation
+from takeapart.model.geometry import Array, OrientedBox, quaternion_from_rotation
 from takeapart.show.robot import BROWSER_CELL, Mesh, RobotVisual, box_mesh, coarser
 from takeapart.show.scene import GOAL, STEEL, Color, PlanScene, darker, rgb
 from takeapart.show.view import View
@@ -70,11 +70,12 @@ class RenderOptions:
 PICTURE = RenderOptions()
 
 
-def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
-    """Everything as bodies that are placed by hand (MuJoCo calls them mocap bodies); nothing collides.
+def lit_spec(options: RenderOptions, middle: Array, view: View | None) -> Any:
+    """Sky and light, and how finely it is drawn.
 
-    A part is a body ``part/NAME`` with one geometry for its shape and, where it has connectors, one for them. The light
-    comes over the left shoulder of who looks from the view.
+    Args:
+        middle: (3,) m, which the light points at.
+        view: over whose left shoulder the light comes; None for that of who looks from "corner".
     """
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = options.drawn_width, options.drawn_height
@@ -87,14 +88,24 @@ def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
     sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=384)
     sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
     sky.rgb1, sky.rgb2 = [0.95, 0.96, 0.98], [0.99, 0.99, 1.0]
-    world = spec.worldbody
-    low, high = scene.bounds
-    middle = (low + high) / 2
     for offset, light, shadow in (([-0.8, -1.4, 2.6], 0.42, True), ([1.2, 1.0, 1.8], 0.12, False)):
-        position = middle + (view.beside_camera(np.array(offset)) if options.view == "corner" else np.array(offset))
-        added = world.add_light(pos=position, dir=middle - position, diffuse=[light] * 3, castshadow=shadow)
+        position = middle + (np.array(offset) if view is None else view.beside_camera(np.array(offset)))
+        added = spec.worldbody.add_light(pos=position, dir=middle - position, diffuse=[light] * 3, castshadow=shadow)
         added.specular = [0.12] * 3
         added.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    return spec
+
+
+def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
+    """Everything as bodies that are placed by hand (MuJoCo calls them mocap bodies); nothing collides.
+
+    A part is a body ``part/NAME`` with one geometry for its shape and, where it has connectors, one for them. The light
+    comes over the left shoulder of who looks from the view.
+    """
+    low, high = scene.bounds
+    middle = (low + high) / 2
+    spec = lit_spec(options, middle, view if options.view == "corner" else None)
+    world = spec.worldbody
     for obstacle in scene.workcell.environment:
         top = obstacle.box.corners()[:, 2].max()
         if options.robot or top < low[2] + 0.01:  # without the arm, only what the assembly stands on
@@ -103,7 +114,7 @@ def compiled_model(scene: PlanScene, options: RenderOptions, view: View) -> Any:
         body = world.add_body(name=f"part/{part.name}", mocap=True)
         surface, (own, walls), color = scene.surface(i), scene.boxes(i), rgb(scene.colors[i])
         if surface is not None:
-            _add_mesh(spec, body, f"shape/{i}", surface.vertices, surface.faces, color, surface.normals)
+            add_mesh(spec, body, f"shape/{i}", surface.vertices, surface.faces, color, surface.normals)
         for name, boxes, shade in (("boxes", own, color), ("connectors", walls, darker(color))):
             if boxes:
                 _add_boxes(spec, body, f"{name}/{i}", boxes, shade)
@@ -137,10 +148,10 @@ def _add_boxes(spec: Any, body: Any, name: str, boxes: Sequence[OrientedBox], co
     if len(boxes) == 1:
         _add_box(body, boxes[0], color)
     else:
-        _add_mesh(spec, body, name, *box_mesh(boxes), color)
+        add_mesh(spec, body, name, *box_mesh(boxes), color)
 
 
-def _add_mesh(
+def add_mesh(
     spec: Any,
     body: Any,
     name: str,
@@ -148,13 +159,15 @@ def _add_mesh(
     faces: NDArray[np.int32],
     color: Color,
     normals: NDArray[np.float32] | None = None,
+    alpha: float = 1.0,
 ) -> None:
+    """A mesh as a geometry of a body; without normals MuJoCo makes them."""
     added = spec.add_mesh(name=name)
     added.uservert, added.userface = vertices.ravel(), faces.ravel()
     if normals is not None:
         added.usernormal, added.userfacenormal = normals.ravel(), faces.ravel()
     added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open meshes have no volume
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*color, 1.0], contype=0, conaffinity=0)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*color, alpha], contype=0, conaffinity=0)
 
 
 def _add_robot(spec: Any, robot: RobotVisual, options: RenderOptions) -> None:
@@ -162,4 +175,4 @@ def _add_robot(spec: Any, robot: RobotVisual, options: RenderOptions) -> None:
         body = spec.worldbody.add_body(name=f"link/{number}", mocap=True)
         for k, mesh in enumerate(link.meshes):
             drawn: Mesh = coarser(mesh, BROWSER_CELL) if options.moving else mesh
-            _add_mesh(spec, body, f"mesh/{number}/{k}", drawn.vertices, drawn.faces, mesh.color)
+            add_mesh(spec, body, f"mesh/{number}/{k}", drawn.vertices, drawn.faces, mesh.color)

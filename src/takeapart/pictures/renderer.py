@@ -77,12 +77,7 @@ class Renderer:
         self._part_geoms = [_geoms(self._model, body[f"part/{part.name}"]) for part in scene.assembly.parts]
         self._links = [int(mocap[body[f"link/{i}"]]) for i in range(len(scene.robot.links))] if options.robot else []
         self._plain = self._model.geom_rgba.copy()
-        try:
-            with _graphics:
-                _choose_graphics()
-                self._renderer = mujoco.Renderer(self._model, options.drawn_height, options.drawn_width)
-        except Exception as error:  # MuJoCo and the loaders of OpenGL raise whatever they like
-            raise NoGraphicsError(str(error).strip().split("\n")[0] or type(error).__name__) from error
+        self._renderer = opened_renderer(self._model, options)
 
     def __enter__(self) -> Renderer:
         return self
@@ -94,28 +89,10 @@ class Renderer:
         """One picture: of a moment of the plan, or of the whole assembly with the arm at rest."""
         self._pose(moment)
         mujoco.mj_kinematics(self._model, self._data)
-        self._renderer.update_scene(self._data, _camera(self._model, self.view))
+        self._renderer.update_scene(self._data, camera_of(self._model, self.view))
         if moment is not None and self.options.path:
             self._draw_path(np.asarray(self.scene.steps[moment.step].tool_path)[:, :3])
-        drawn = PillowImage.fromarray(self._pixels())
-        return np.asarray(drawn.resize((self.options.width, self.options.height), PillowImage.Resampling.BOX))
-
-    def _pixels(self) -> Image:
-        """The scene in all samples; where shadows are soft, the mean over directions of the light that casts them."""
-        if not self.options.soft:
-            return np.asarray(self._renderer.render())
-        drawn = self._renderer.scene
-        casting = [drawn.lights[k] for k in range(drawn.nlight) if drawn.lights[k].castshadow]
-        directions = [np.array(light.dir, dtype=float) for light in casting]
-        total: NDArray[np.uint16] = np.zeros(1, dtype=np.uint16)
-        for turn in np.arange(LIGHT_DIRECTIONS) * 2 * np.pi / LIGHT_DIRECTIONS:
-            for light, direction in zip(casting, directions, strict=True):
-                across = np.cross(direction, (0.0, 0.0, 1.0))
-                across /= np.linalg.norm(across)
-                aside = np.cos(turn) * across + np.sin(turn) * np.cross(direction, across)
-                light.dir = direction + LIGHT_RADIUS * aside
-            total = total + self._renderer.render()
-        return (total // LIGHT_DIRECTIONS).astype(np.uint8)
+        return drawn_picture(self._renderer, self.options)
 
     def _pose(self, moment: Moment | None) -> None:
         scene, model = self.scene, self._model
@@ -160,6 +137,44 @@ class Renderer:
             drawn.ngeom += 1
 
 
+def opened_renderer(model: Any, options: RenderOptions) -> Any:
+    """MuJoCo's renderer of a model.
+
+    Raises:
+        NoGraphicsError: there is no OpenGL.
+    """
+    try:
+        with _graphics:
+            _choose_graphics()
+            return mujoco.Renderer(model, options.drawn_height, options.drawn_width)
+    except Exception as error:  # MuJoCo and the loaders of OpenGL raise whatever they like
+        raise NoGraphicsError(str(error).strip().split("\n")[0] or type(error).__name__) from error
+
+
+def drawn_picture(renderer: Any, options: RenderOptions) -> Image:
+    """The scene that a renderer holds, at the size of the picture."""
+    drawn = PillowImage.fromarray(_pixels(renderer, options))
+    return np.asarray(drawn.resize((options.width, options.height), PillowImage.Resampling.BOX))
+
+
+def _pixels(renderer: Any, options: RenderOptions) -> Image:
+    """The scene in all samples; where shadows are soft, the mean over directions of the light that casts them."""
+    if not options.soft:
+        return np.asarray(renderer.render())
+    drawn = renderer.scene
+    casting = [drawn.lights[k] for k in range(drawn.nlight) if drawn.lights[k].castshadow]
+    directions = [np.array(light.dir, dtype=float) for light in casting]
+    total: NDArray[np.uint16] = np.zeros(1, dtype=np.uint16)
+    for turn in np.arange(LIGHT_DIRECTIONS) * 2 * np.pi / LIGHT_DIRECTIONS:
+        for light, direction in zip(casting, directions, strict=True):
+            across = np.cross(direction, (0.0, 0.0, 1.0))
+            across /= np.linalg.norm(across)
+            aside = np.cos(turn) * across + np.sin(turn) * np.cross(direction, across)
+            light.dir = direction + LIGHT_RADIUS * aside
+        total = total + renderer.render()
+    return (total // LIGHT_DIRECTIONS).astype(np.uint8)
+
+
 def _choose_graphics() -> None:
     """Without a screen, and where nobody said otherwise, EGL. MuJoCo chooses when it is imported, which may have been
     for another purpose, so it is made to choose again."""
@@ -173,7 +188,8 @@ def _geoms(model: Any, body: int) -> list[int]:
     return list(range(first, first + int(model.body_geomnum[body])))
 
 
-def _camera(model: Any, view: View) -> Any:
+def camera_of(model: Any, view: View) -> Any:
+    """MuJoCo's camera where a view is; the model is told how wide it looks."""
     model.vis.global_.fovy = np.degrees(view.field)
     camera = mujoco.MjvCamera()
     camera.lookat, camera.distance = view.target, view.distance

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from takeapart.model.assembly import Part
 from takeapart.model.bounding import flat_directions
@@ -41,7 +42,9 @@ MOST_POSES = 240  # of a part; each in both finger orders
 # From which steepness downwards: how many poses of a kind are taken at a time, and of all kinds while others are left.
 TURNS = ((0.7, 4, 120), (-0.3, 2, 88), (-math.inf, 1, 32))
 SHALLOWER = (0.006, 0.012, 0.018, 0.026, 0.036)  # m, by which the fingers also reach less deep
-CONTACTS = 5  # that are looked at along an approach direction
+# Contacts that are looked at along an approach direction: of each of so many widths, by which they differ, m, the
+# nearest to the centre of mass, and others spread over the part.
+MOST_WIDTHS, ALIKE_WIDTH, NEAREST_CONTACTS, SPREAD_CONTACTS = 4, 0.003, 3, 3
 STRIDES = 40  # of pixels along the longest side of a map, where the palm would be
 PLACES = 9  # of a direction, along the longer side of the map
 PIXELS = 100  # along the longest side of a map
@@ -261,7 +264,7 @@ def _by_distance(view: ContactMap, pairs: Array, center: Array) -> Array:
 
 
 def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> Array:
-    """Grasps (K, 6), see `touched_areas`: along each approach direction at the first of the contacts (N, 8) that the
+    """Grasps (K, 6), see `touched_areas`: along each approach direction at some of the contacts (N, 8) that the
     fingers are long enough for, with the contact in the middle of the pads unless the fingers' tips would stand out of
     the part, and with the tips a little before the contact's end."""
     fingers = _fingers(description, round(float(contacts[0, 3] - contacts[0, 2]), 3))
@@ -274,8 +277,7 @@ def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> 
     within = behind <= -fingers.palm
     if not within.any():
         within[:1] = True  # what is wrong with the best is said
-    ranks = np.cumsum(within, axis=0)
-    chosen, way = np.nonzero(within & (ranks <= CONTACTS))
+    chosen, way = np.nonzero(within & _looked_at(contacts[:, 3] - contacts[:, 2], within))
     lengths = lengths_along(view, np.ascontiguousarray(contacts), ways, tip, GIVES_WAY)[chosen, way]
     surfaces, body = lengths.T  # m
     back = tip - surfaces + np.minimum(TIP_MARGIN, surfaces)
@@ -289,6 +291,27 @@ def _tries(view: ContactMap, contacts: Array, description: RobotDescription) -> 
         at = contacts[chosen, :2] - offset[:, None] * ways[way]
         tries.append(np.column_stack([at, ways[way], contacts[chosen, 2:4]])[used])
     return np.concatenate(tries)
+
+
+def _looked_at(spans: Array, within: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which contacts (N,), the nearest to the centre of mass first, are looked at along each approach direction (N, W):
+    of each of a few widths the nearest, and some all over the part: that which stands in the way elsewhere may leave
+    room at a handle or a hub.
+
+    Args:
+        spans: (N,) m.
+        within: (N, W) whether the palm would be outside of the part.
+    """
+    found = np.zeros_like(within)
+    kinds = np.round(spans / ALIKE_WIDTH).astype(int)
+    for kind in list(dict.fromkeys(kinds.tolist()))[:MOST_WIDTHS]:
+        for way in range(within.shape[1]):
+            members = np.flatnonzero(within[:, way] & (kinds == kind))
+            if len(members):
+                spread = np.linspace(0, len(members) - 1, SPREAD_CONTACTS + 1).astype(int)
+                found[members[:NEAREST_CONTACTS], way] = True
+                found[members[spread], way] = True
+    return found
 
 
 def _by_width(tries: Array, description: RobotDescription) -> list[tuple[_Fingers, Array]]:

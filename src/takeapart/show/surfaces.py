@@ -99,7 +99,7 @@ def fewer(vertices: Array, faces: NDArray[np.int32], most: int) -> tuple[Array, 
 
 
 def creased(
-    vertices: Array, faces: NDArray[np.integer], angle: float = CREASE
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], angle: float = CREASE
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
     """Vertices (V, 3), m, normals (V, 3) and faces (F, 3) of a surface with sharp edges.
 

@@ -76,11 +76,16 @@ def view_of(
 
 
 def _framed(scene: PlanScene, azimuth: float, elevation: float, robot: bool, aspect: float) -> View:
-    """A view from a direction, degrees, as near as everything allows."""
+    """A view of a scene from a direction, degrees."""
     low, high = scene.bounds
     points = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     if robot:
         points = np.vstack([points, scene.workcell.T_world_base[:3, 3], scene.workcell.goal, scene.reached])
+    return framed(points, azimuth, elevation, aspect)
+
+
+def framed(points: Array, azimuth: float, elevation: float, aspect: float) -> View:
+    """A view from a direction, degrees, as near as points (P, 3), m, allow that are all seen."""
     right, up, direction = _axes(azimuth, elevation)
     target = _middle(points, right, up, direction)
     field = math.radians(32)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from takeapart.model.geometry import Array, quaternion_from_rotation
 from takeapart.show.robot import BROWSER_CELL, box_mesh, coarser
 from takeapart.show.scene import GOAL, STEEL, Color, PlanScene, darker, rgb
+from takeapart.show.surfaces import creased
 from takeapart.show.view import view_of
 
 PANEL_SHARE = 0.11  # of the camera's distance, by which everything is shifted to the left
@@ -69,9 +70,8 @@ def draw_scene(server: Any, scene: PlanScene, on_click: Callable[[int], Callable
     for number, link in enumerate(scene.robot.links):
         nodes.links.append(api.add_frame(f"/robot/{number}", show_axes=False))
         for k, mesh_of in enumerate(coarser(mesh, BROWSER_CELL) for mesh in link.meshes):
-            api.add_mesh_simple(
-                f"/robot/{number}/{k}", mesh_of.vertices, mesh_of.faces, color=as_bytes(mesh_of.color), side="double"
-            )
+            vertices, _, faces = creased(mesh_of.vertices, mesh_of.faces)
+            api.add_mesh_simple(f"/robot/{number}/{k}", vertices, faces, color=as_bytes(mesh_of.color), side="double")
     api.add_icosphere("/goal", 0.012, as_bytes(rgb(GOAL)), position=tuple(scene.workcell.goal))
     return nodes
 

@@ -13,7 +13,7 @@ RING = SUN + 2 * PLANET  # teeth
 ARM = MODULE * (SUN + PLANET) / 2  # mm, from the axis to a planet's
 COUNT = 4  # of planets
 PINS = 10.0  # mm, height of their lower ends, in the carrier
-FLOOR, CARRIER, FACE, HUB, PLATE = 8.0, 14.0, 28.0, 36.0, 43.0  # mm, heights up to which these reach
+FLOOR, CARRIER, FACE, HUB, PLATE = 8.0, 14.0, 28.0, 42.0, 49.0  # mm, heights up to which these reach
 
 
 def planet_turn(place: float) -> float:
@@ -36,18 +36,18 @@ def planetary() -> Assembly:
     drawing.add("ring", ring, STEEL, fixed=True)
     places = [360.0 * k / COUNT for k in range(COUNT)]
     centres = [(ARM * math.cos(math.radians(place)), ARM * math.sin(math.radians(place))) for place in places]
-    carrier = cylinder(53.0, FLOOR, CARRIER, segments=48) + cylinder(9.0, FLOOR, 76.0)
+    carrier = cylinder(53.0, FLOOR, CARRIER, segments=48) + cylinder(9.0, FLOOR, 68.0)
     carrier += cylinder(7.85, 3.0, FLOOR)
     top = cylinder(53.0, HUB, PLATE, segments=48) - cylinder(9.2, HUB - 1, PLATE + 1)
-    top += tube(16.0, 9.2, PLATE, 54.0)
+    top += tube(16.0, 9.2, PLATE, 60.0)
     for at in centres:
         carrier -= cylinder(6.1, PINS, CARRIER + 1, at, 24)
         top -= cylinder(6.15, HUB - 1, PLATE + 1, at, 24)
     drawing.add("carrier", carrier, ALUMINIUM)
-    pin = cylinder(6.0, 0.0, 58.0 - PINS, segments=24)
-    cap = cylinder(9.0, 0.0, 20.0, segments=24) - cylinder(6.15, -1.0, 58.0 - PLATE, segments=24)
+    pin = cylinder(6.0, 0.0, 64.0 - PINS, segments=24)
+    cap = cylinder(9.0, 0.0, 20.0, segments=24) - cylinder(6.15, -1.0, 64.0 - PLATE, segments=24)
     planet = gear(PLANET, 11.0, 6.15, HUB - CARRIER)
-    drawing.add("sun", gear(SUN, 14.0, 9.2, 35.0 - CARRIER), STEEL, (0, 0, CARRIER))
+    drawing.add("sun", gear(SUN, 14.0, 9.2, 41.0 - CARRIER), STEEL, (0, 0, CARRIER))
     for number, (place, (x, y)) in enumerate(zip(places, centres, strict=True), 1):
         drawing.add(f"pin-{number}", pin, STEEL, (x, y, PINS))
         drawing.add(f"planet-{number}", planet, BRONZE, (x, y, CARRIER), about_z(planet_turn(place)))
