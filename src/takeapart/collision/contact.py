@@ -6,12 +6,14 @@ the fields do not see. It is the same in all states.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from takeapart.collision.depths import depth_in
 from takeapart.collision.fields import FIELD_ERROR, Field, field_of, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, points_below
 from takeapart.collision.points import Cloud, cloud_of, facet_normals
@@ -162,10 +164,19 @@ class Contacts:
             more = f" (and {len(worst) - 1} more pairs)" if len(worst) > 1 else ""
             first, second = names[worst[0].first], names[worst[0].second]
             raise InputError(
-                f"parts {first!r} and {second!r} overlap by {1e3 * worst[0].depth:.2f} mm as drawn{more}; at most "
-                f"{1e3 * OVERLAP_LIMIT:g} mm is valid, unless the pair stands in allowed_overlaps",
+                f"parts {first!r} and {second!r} overlap by {1e3 * self.depth(worst[0]):.2f} mm as drawn{more}; at "
+                f"most {1e3 * OVERLAP_LIMIT:g} mm is valid, unless it is meant: import the product with "
+                f"--allow-overlap {shlex.quote(f'{first},{second}')} (allowed_overlaps in the file)",
                 f"{self._assembly.name}: parts",
             )
+
+    def depth(self, found: PairFinding) -> float:
+        """How deep two parts overlap, m, to the micrometre: for words; planning goes by the depth that was found."""
+        parts = self._assembly.parts
+        T = pose_inverse(parts[found.second].T_world_part) @ parts[found.first].T_world_part
+        first, second = self.body(found.first), self.body(found.second)
+        forth = depth_in(second.field, second.tree, first.surface.moved(T))
+        return max(found.depth, forth, depth_in(first.field, first.tree, second.surface.moved(pose_inverse(T))))
 
     def swallowed(self) -> tuple[PairFinding, ...]:
         """Pairs that overlap by more than `SWALLOWED`, the deepest first."""

@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from takeapart.model.assembly import Part
+from takeapart.model.deepest import greatest_depth
 from takeapart.model.errors import MissingExtraError
-from takeapart.model.geometry import Array, TriangleMesh
+from takeapart.model.geometry import Array
 from takeapart.model.meshes import Mesh
 
 NEAR = 5e-3  # m; pairs further apart than this are not looked at
-SAMPLES = 5000  # corners of a surface that are looked at
+SAMPLES = 5000  # places of a surface that are looked at
 POINTS_APART = 5e-4  # m, on what two parts have in common
+DEEPEST = 40  # triangles with the deepest of these points, which are looked at closely
+FINE = 1e3  # millimetres in a metre: trimesh takes distances whose squares differ by 1e-8 for the same
 SMALLEST_VOLUME = 1e-15  # m^3; less is rounding
 SMALLEST_THICKNESS = 1e-6  # m, of an overlap: twice its volume over its area; less is contact
 
@@ -53,6 +56,7 @@ class DrawnPairs:
         self.bounds = np.array([surface.bounds for surface in self.surfaces])  # (P, 2, 3) m
         self.closed = [not isinstance(part.shape, Mesh) or part.shape.is_closed for part in parts]
         self._bodies: dict[int, Any] = {}
+        self._fine: dict[int, Any] = {}  # surfaces in mm
 
     def near(self, done: Callable[[float], None] = lambda share: None) -> tuple[DrawnPair, ...]:
         """All pairs nearer than `NEAR`."""
@@ -74,21 +78,26 @@ class DrawnPairs:
             return min(self._corner_gap(a, b, furthest), self._corner_gap(b, a, furthest)), float("nan")
         first, second = self._body(a), self._body(b)
         if self._bounds_gap(a, b) <= 0:
-            points = _points_of(first ^ second)
-            if len(points):
-                return 0.0, self._depth(a, b, points)
+            common = _solid_surface(first ^ second)
+            if len(common):
+                return 0.0, max(self._depth(i, common) for i in (a, b))
         gap = float(first.min_gap(second, 1.05 * furthest + 1e-6))
         return (gap, 0.0) if gap <= furthest else (np.inf, 0.0)
 
-    def _depth(self, a: int, b: int, points: Array) -> float:
-        """How deep points on what is in both, each on one of the surfaces, lie inside the other one."""
-        return max(float(self._distances(i, points).max()) for i in (a, b))
+    def _depth(self, i: int, common: Array) -> float:
+        """How far triangles (N, 3, 3) around what a part has in common with another lie from the part's surface, m."""
+        common = common[:: -(-len(common) // SAMPLES)]
+        depths = self._distances(i, common.mean(axis=1))
+        deepest = common[np.argsort(-depths, kind="stable")[:DEEPEST]]
+        return greatest_depth(deepest, lambda points, least: self._distances(i, points), DEEPEST)
 
     def _distances(self, i: int, points: Array) -> Array:
         import trimesh
 
-        points = points[:: -(-len(points) // SAMPLES)]
-        return np.asarray(trimesh.proximity.closest_point(_trimesh(self.surfaces[i]), points)[1])
+        if i not in self._fine:
+            surface = self.surfaces[i]
+            self._fine[i] = trimesh.Trimesh(FINE * surface.vertices, surface.triangles, process=False)
+        return np.asarray(trimesh.proximity.closest_point(self._fine[i], FINE * points)[1]) / FINE
 
     def _bounds_gap(self, a: int, b: int) -> float:
         apart = np.maximum(self.bounds[a, 0] - self.bounds[b, 1], self.bounds[b, 0] - self.bounds[a, 1])
@@ -110,26 +119,23 @@ class DrawnPairs:
         points: Array = np.concatenate([surface.vertices, surface.corners.mean(axis=1)])
         low, high = self.bounds[b]
         points = points[((points > low - furthest) & (points < high + furthest)).all(axis=1)]
+        points = points[:: max(1, -(-len(points) // SAMPLES))]
         gap = float(self._distances(b, points).min()) if len(points) else np.inf
         return gap if gap <= furthest else np.inf
 
 
-def _points_of(common: Any) -> Array:
-    """(N, 3) m: points all over what two bodies have in common, without the slivers that coinciding surfaces leave."""
+def _solid_surface(common: Any) -> Array:
+    """(N, 3, 3) m: small triangles all around what two bodies have in common, without the slivers that coinciding
+    surfaces leave."""
     import trimesh
 
-    found = [np.zeros((0, 3))]
+    found = [np.zeros((0, 3, 3))]
     for piece in common.decompose():
         volume = piece.volume()
         if volume > SMALLEST_VOLUME and 2 * volume > SMALLEST_THICKNESS * piece.surface_area():
             mesh = piece.to_mesh64()
             corners, triangles = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64)
             between = max(POINTS_APART, float(np.ptp(corners, axis=0).max()) / 40)
-            found.append(trimesh.remesh.subdivide_to_size(corners, triangles, between, max_iter=20)[0])
+            corners, triangles = trimesh.remesh.subdivide_to_size(corners, triangles, between, max_iter=20)
+            found.append(corners[triangles])
     return np.concatenate(found)
-
-
-def _trimesh(surface: TriangleMesh) -> Any:
-    import trimesh
-
-    return trimesh.Trimesh(surface.vertices, surface.triangles, process=False)
