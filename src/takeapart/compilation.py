@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import threading
 from collections.abc import Callable, Sequence
 from functools import cache, cached_property
@@ -21,6 +22,7 @@ import llvmlite.binding as llvm  # type: ignore[import-untyped]
 import numba
 from numba.core import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 from takeapart.caching import cache_folder, planted
@@ -31,6 +33,7 @@ Result = TypeVar("Result")
 
 # What the environment can ask of numba that ends up in machine code, and that numba's own cache does not look at.
 SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
+GROUPS = (("search",), ("collision",), ("robot", "motion"))  # packages whose kernels call each other
 _folder_lock = threading.Lock()
 CALLED = "called"  # folder for the machine code of kernels that are part of others, where Python calls them
 
@@ -53,10 +56,10 @@ def _digest(folders: Sequence[str]) -> str:
 
 def _kernel_folder(module: str) -> Path:
     """Folder for the machine code of a module: arm, contact and searches call no kernels of one another."""
-    for package in ("search", "collision"):
-        if module.startswith(f"takeapart.{package}."):
-            return _group_folder((package,))
-    return _group_folder(("robot", "motion"))
+    for group in GROUPS:
+        if any(module.startswith(f"takeapart.{package}.") for package in group):
+            return _group_folder(group)
+    return _group_folder(GROUPS[-1])
 
 
 @cache
@@ -81,6 +84,11 @@ class _MachineCode(CompileResultCacheImpl):  # type: ignore[misc]
     """Reads the machine code of a kernel that Python calls without the code for the compiler that stands beside it: ten
     times as quick.
     """
+
+    def reduce(self, result: Any) -> Any:
+        *stored, environments = super().reduce(result)
+        # Without constants they are never looked at, and reading them imports much of numba and of scipy.
+        return (*stored, tuple(environment for environment in environments if environment.consts))
 
     def rebuild(self, context: Any, stored: Any) -> Any:
         (name, kind, (machine_code, bitcode)), described, *others = stored
@@ -202,3 +210,22 @@ def has_machine_code(dispatcher: Any, signature: tuple[Any, ...]) -> bool:
         Path(index._index_path).unlink(missing_ok=True)  # numba would raise the same
         return False
     return name is not None and Path(index._data_path(name)).is_file()
+
+
+def machine_code_stamp() -> str:
+    """Digest of all that decides whether machine code is found: which there is, of which sources, for which processor.
+    What was found complete still is where nothing of it has changed.
+
+    Raises:
+        InputError: as `cache_folder`; somebody else can write what stands there.
+    """
+    package = Path(__file__).parent
+    states = []
+    for folder in (*(_group_folder(group) for group in GROUPS), package):
+        for above, _, names in os.walk(folder):
+            for name in names:
+                if name.endswith((".nbi", ".nbc", ".py")):
+                    state = os.stat(f"{above}/{name}")
+                    states.append((above, name, state.st_mtime_ns, state.st_size))
+    known = cpu_target.target_context.codegen().magic_tuple(), sorted(states)
+    return hashlib.sha256(repr(known).encode()).hexdigest()

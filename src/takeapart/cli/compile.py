@@ -6,12 +6,14 @@ Otherwise the time limit of a first search would be spent on compiling. What was
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from takeapart.cli.output import note, progress_bar
@@ -40,7 +42,10 @@ def compile_first(workcell: Workcell, orders: bool = True) -> None:
     chosen = chosen_folder()
     if chosen.remark:
         note(chosen.remark)
+    if _is_noted(orders):
+        return
     if not missing(orders):
+        _note_complete(orders)
         return
     note(NOTICE)
     with progress_bar("compiling") as update, _alone():
@@ -49,6 +54,31 @@ def compile_first(workcell: Workcell, orders: bool = True) -> None:
             _compile(left, workcell, update)
         except BrokenProcessPool:
             note("a process that compiled was ended; what is missing is compiled when it is first needed")
+
+
+def _is_noted(orders: bool) -> bool:
+    """Whether nothing has changed since nothing was missing: to look at every kernel takes a tenth of a second."""
+    from takeapart.compilation import machine_code_stamp
+
+    try:
+        return _notes(orders).read_text() == machine_code_stamp()
+    except (OSError, ValueError):
+        return False
+
+
+def _note_complete(orders: bool) -> None:
+    from takeapart.compilation import machine_code_stamp
+
+    with suppress(OSError):
+        _notes(orders).write_text(machine_code_stamp())
+
+
+def _notes(orders: bool) -> Path:
+    """Where it is noted for these sources, wherever they lie, that nothing was missing."""
+    from takeapart.caching import cache_folder
+
+    place = hashlib.sha256(os.path.realpath(__file__).encode()).hexdigest()[:16]
+    return cache_folder() / f"complete-{'orders' if orders else 'removals'}-{place}"
 
 
 def missing(orders: bool) -> dict[str, Unit]:
