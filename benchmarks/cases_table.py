@@ -9,26 +9,24 @@ clearances are those of the verification.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from drawn_products import Trial, imported, too_deep, trials
+from kept_rows import publish, read_row, write_and_verify, write_row
 from speed import random_edges
 from takeapart.collision.fields import mesh_field
-from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.formats.documents import readable_json, write_atomically
-from takeapart.formats.files import load_assembly, load_plan, load_workcell, save_assembly, save_plan
+from takeapart.experiments.tables import markdown_table
+from takeapart.formats.files import load_assembly, load_workcell, save_assembly
 from takeapart.model.errors import InputError
 from takeapart.model.geometry import Array, Box, pose, pose_inverse
 from takeapart.model.plan import Plan, PlanStep
@@ -39,7 +37,6 @@ from takeapart.removal.following import end_of
 from takeapart.removal.planner import RemovalPlanner
 from takeapart.removal.result import Blocked, Removal
 from takeapart.search.result import Budget
-from takeapart.verification import verify_plan
 
 MARKER = "cases"
 COLD_QUERIES = 30
@@ -159,9 +156,7 @@ def row_of(trial: Trial, cases: Path, folder: Path, unit: str, budget: Budget) -
     made = plan_of(problem, result, options, row.search_time)
     if not isinstance(made, Plan):
         return replace(row, refusal=_line(str(made)), proved=made.proved)
-    file = here / "product.plan.json"
-    save_plan(made, file)
-    report = verify_plan(load_plan(file), assembly, workcell)
+    report = write_and_verify(made, here / "product.plan.json", assembly, workcell)
     nearest = report.smallest_clearance
     row = replace(row, cold=cold_query(problem))
     return replace(
@@ -209,17 +204,12 @@ def _angle(R: Array) -> float:
 
 def kept_row(trial: Trial, folder: Path) -> Row | None:
     """What is kept of a trial, if anything."""
-    file = folder / f"{trial.name}.json"
-    if not file.is_file():
-        return None
-    values: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    lists: dict[str, Any] = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
-    return Row(**(values | lists))
+    return read_row(Row, folder / f"{trial.name}.json")
 
 
 def keep(row: Row, folder: Path) -> None:
     """Writes a row where `kept_row` finds it."""
-    write_atomically(folder / f"{row.name}.json", readable_json(asdict(row)))
+    write_row(row, folder / f"{row.name}.json")
 
 
 def in_own_process(trial: Trial, arguments: argparse.Namespace) -> None:
@@ -315,10 +305,7 @@ def main() -> None:
         in_own_process(trial, arguments)
         print(kept_row(trial, arguments.out), flush=True)
     rows = [row for trial in tried if (row := kept_row(trial, arguments.out)) is not None]
-    text = table(rows, tried)
-    print(text)
-    if arguments.document:
-        replace_between_markers(arguments.document, MARKER, text)
+    publish(table(rows, tried), MARKER, arguments.document)
 
 
 if __name__ == "__main__":

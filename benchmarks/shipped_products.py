@@ -8,21 +8,19 @@ sources that shape an answer are the same.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-from takeapart.experiments.tables import markdown_table, replace_between_markers
-from takeapart.formats.documents import readable_json, write_atomically
-from takeapart.formats.files import data_path, load_assembly, load_plan, load_workcell, save_plan
+from kept_rows import publish, read_row, write_and_verify, write_row
+from takeapart.experiments.tables import markdown_table
+from takeapart.formats.files import data_path, load_assembly, load_workcell
 from takeapart.formats.serialization import workcell_hash
 from takeapart.model.plan import Plan
 from takeapart.planning import PlanningOptions, plan, sources_digest
 from takeapart.search.result import Budget
-from takeapart.verification import verify_plan
 from takeapart.workcell import Workcell
 
 MARKER = "shipped products"
@@ -66,9 +64,7 @@ def outcome_of(name: str, workcell: Workcell, queries: float, folder: Path) -> O
         told = [f"{each.part}: {each.reason}" for each in made.hindrances]
         reasons = tuple(line for line in told if "would fall" not in line)[:OF_A_KIND]
         return Outcome(name, parts, None, None, 0, seconds, 0, len(made.remaining), reasons)
-    file = folder / f"{name.replace('/', '-')}.{workcell.name}.plan.json"
-    save_plan(made, file)
-    report = verify_plan(load_plan(file), assembly, workcell)
+    report = write_and_verify(made, _file(name, workcell, folder, ".plan.json"), assembly, workcell)
     asked = int(made.counts["removal_queries"])
     return Outcome(
         name, parts, made.total_length, made.straight_line_bound, asked, seconds, len(report.findings), 0, ()
@@ -77,16 +73,16 @@ def outcome_of(name: str, workcell: Workcell, queries: float, folder: Path) -> O
 
 def kept_outcome(name: str, workcell: Workcell, queries: float, folder: Path) -> Outcome:
     """As `outcome_of`, kept in a folder."""
-    file = folder / f"{name.replace('/', '-')}.{workcell.name}.json"
-    origin = [sources_digest(), workcell_hash(workcell), queries]
-    if file.is_file():
-        document = json.loads(file.read_text(encoding="utf-8"))
-        if document["origin"] == origin:
-            values = document["outcome"]
-            return Outcome(**(values | {"reasons": tuple(values["reasons"])}))
-    found = outcome_of(name, workcell, queries, folder)
-    write_atomically(file, readable_json({"origin": origin, "outcome": asdict(found)}))
+    file, origin = _file(name, workcell, folder, ".json"), [sources_digest(), workcell_hash(workcell), queries]
+    found = read_row(Outcome, file, origin)
+    if found is None:
+        found = outcome_of(name, workcell, queries, folder)
+        write_row(found, file, origin)
     return found
+
+
+def _file(name: str, workcell: Workcell, folder: Path, ending: str) -> Path:
+    return folder / f"{name.replace('/', '-')}.{workcell.name}{ending}"
 
 
 def table(outcomes: Sequence[Sequence[Outcome]], workcells: Sequence[Workcell]) -> str:
@@ -138,10 +134,7 @@ def main() -> None:
         for name in names:
             outcomes[-1].append(kept_outcome(name, workcell, arguments.queries, arguments.out))
             print(f"{workcell.name} {name}: {_cell(outcomes[-1][-1])}", flush=True)
-    text = table(outcomes, workcells)
-    print(text)
-    if arguments.document:
-        replace_between_markers(arguments.document, MARKER, text)
+    publish(table(outcomes, workcells), MARKER, arguments.document)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from takeapart.robot.kernels import FREE, HIT_SELF, HIT_WORLD, LARGEST_MARGIN, c
 from takeapart.robot.kinematics import forward, jacobian, motion_of_ball, place, place_held, set_motion
 from takeapart.robot.model import RobotModel
 from takeapart.states import flags_of
-from takeapart.verification.model import STATIC_BITS
+from takeapart.verification.bodies import STATIC_BITS
 from takeapart.verification.model import Scene as MujocoScene
 from takeapart.workcell import Obstacle, Workcell
 

@@ -20,7 +20,7 @@ from takeapart.robot.hand import collect_hand, hand_hits_load
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kinematics import forward
 from takeapart.robot.model import RobotModel, moved_load
-from takeapart.verification.model import place_body
+from takeapart.verification.bodies import place_body
 from takeapart.verification.robot import robot_specification
 from takeapart.workcell import Workcell
 

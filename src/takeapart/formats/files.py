@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +72,7 @@ def load_assembly(path: PathLike) -> Assembly:
         if part.shape.kind == "mesh"
     ]
     meshes = load_meshes(named, Path(path).parent)
-    try:
+    with _told_inside(where, model.name):
         return Assembly(
             name=model.name,
             parts=tuple(
@@ -89,8 +90,6 @@ def load_assembly(path: PathLike) -> Assembly:
             contact_gap=CONTACT_GAP if model.contact_gap is None else model.contact_gap,
             allowed_overlaps=tuple((first, second) for first, second in model.allowed_overlaps or ()),
         )
-    except InputError as error:
-        raise InputError(error.message, _inside(where, model.name, error)) from None
 
 
 def save_assembly(assembly: Assembly, path: PathLike) -> None:
@@ -168,7 +167,7 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
     description = load_robot_description(
         named or "", robot.gripper, robot.mount, Path(text).parent, f"{where}: robot.{key}"
     )
-    try:
+    with _told_inside(where, model.name):
         return Workcell(
             name=model.name,
             description=description,
@@ -182,14 +181,17 @@ def load_workcell(name_or_path: PathLike) -> Workcell:
             gripping_force=_stated(model.robot.gripping_force),
             friction=_stated(model.robot.friction),
         )
+
+
+@contextmanager
+def _told_inside(where: str, name: str) -> Iterator[None]:
+    """Errors of a data class name the file and the place inside it; they come with the name of the assembly or workcell
+    instead."""
+    try:
+        yield
     except InputError as error:
-        raise InputError(error.message, _inside(where, model.name, error)) from None
-
-
-def _inside(where: str, name: str, error: InputError) -> str:
-    """Place inside a file for an error of the data class, which names the assembly or workcell instead of the file."""
-    place = error.where.removeprefix(name).removeprefix(": ")
-    return f"{where}: {place}" if place else where
+        place = error.where.removeprefix(name).removeprefix(": ")
+        raise InputError(error.message, f"{where}: {place}" if place else where) from None
 
 
 def _nameable(name: str) -> str:

@@ -1,14 +1,9 @@
 """From an assembly and a workcell to a plan: the one call that most users need, and runs that survive a kill."""
 
+from takeapart.planning.infeasible import Hindrance, Infeasible, blocked_parts, explain, infeasible_of
+from takeapart.planning.options import PlanningOptions, Recorder
 from takeapart.planning.plans import (
-    Hindrance,
-    Infeasible,
-    PlanningOptions,
-    Recorder,
-    blocked_parts,
     build_problem,
-    explain,
-    infeasible_of,
     of_candidates,
     plan,
     plan_in_run,

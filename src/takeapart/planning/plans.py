@@ -5,140 +5,30 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import cast
 
 import numpy as np
 
 from takeapart.formats.serialization import assembly_hash, workcell_hash
 from takeapart.model.assembly import Assembly
-from takeapart.model.errors import InputError, UnknownNameError
 from takeapart.model.plan import Plan, PlanStep
+from takeapart.planning.infeasible import Infeasible, infeasible_of
+from takeapart.planning.options import PlanningOptions, Recorder
 from takeapart.planning.runs import Identity, Run, RunBudget, finished_plan, open_run
 from takeapart.planning.shaping import sources_digest, versions
 from takeapart.problem import AssemblyProblem, Guide, Problem
 from takeapart.removal.journal import QueryJournal
-from takeapart.removal.planner import RemovalOptions, RemovalPlanner
-from takeapart.removal.reasons import Reason
-from takeapart.removal.result import Blocked, Removal, Stage
-from takeapart.removal.wording import listed
+from takeapart.removal.planner import RemovalPlanner
+from takeapart.removal.result import Removal
 from takeapart.search.deepest import deepen
 from takeapart.search.registry import SEARCHES
-from takeapart.search.result import Budget, Deepest, History, ProgressListener, SearchResult
-from takeapart.search.session import SettledObserver, TransitionObserver
+from takeapart.search.result import Budget, History, ProgressListener, SearchResult
 from takeapart.stability import require_standing
-from takeapart.states import members
 from takeapart.workcell import Workcell
 
 MAXIMUM_HISTORY = 400  # rows of a plan's search history
-TOLD = 6  # reasons in a sentence
-
-
-@dataclass(frozen=True)
-class PlanningOptions:
-    """How a plan is made.
-
-    Args:
-        search: name of a search, see `takeapart.search.registry.SEARCHES`.
-        seed: of all random choices.
-        budget: when to stop searching.
-        removal: options of the removal planner.
-        search_options: an instance of the search's own options dataclass; None for those in the registry.
-    """
-
-    search: str = "exact"
-    seed: int = 0
-    budget: Budget = field(default_factory=Budget)
-    removal: RemovalOptions = field(default_factory=RemovalOptions)
-    search_options: Any = None
-
-    def __post_init__(self) -> None:
-        if self.search not in SEARCHES:
-            raise UnknownNameError("search", self.search, list(SEARCHES))
-        if self.search_options is not None:
-            given, valid = type(self.search_options), type(SEARCHES[self.search].options())
-            if given is not valid:
-                raise InputError(
-                    f"{given.__name__}; the search {self.search!r} takes {valid.__name__}", "search_options"
-                )
-
-    def of_search(self) -> Any:
-        """The options of the search."""
-        return self.search_options if self.search_options is not None else SEARCHES[self.search].options()
-
-
-class Recorder(Protocol):
-    """Takes what a search sees; `takeapart.guide.experience.ExperienceWriter` is one."""
-
-    @property
-    def observe(self) -> TransitionObserver:
-        """For every removal that a query returned."""
-        ...
-
-    @property
-    def observe_settled(self) -> SettledObserver:
-        """For the removals of which exact search knows the cost to the goal."""
-        ...
-
-
-@dataclass(frozen=True)
-class Hindrance:
-    """A part that cannot leave.
-
-    Args:
-        part: its name.
-        reason: in words and numbers.
-    """
-
-    part: str
-    reason: Reason
-
-    @property
-    def stage(self) -> Stage:
-        """Where planning its removal ended."""
-        return self.reason.stage
-
-    def __str__(self) -> str:
-        return f"{self.part}: {self.reason}"
-
-
-@dataclass(frozen=True)
-class Infeasible:
-    """No order was found: the parts left where the search ended deepest, and why each cannot leave.
-
-    Args:
-        remaining: names of the parts left.
-        hindrances: per part.
-        proved: whether every sequence was excluded for the removals the planner finds (else the budget ran out first).
-        deepest: the removals that lead there; None where none were asked for. It and `partial` are not compared.
-        partial: the same as a plan, which ends with these parts left; None if no part leaves.
-    """
-
-    remaining: tuple[str, ...]
-    hindrances: tuple[Hindrance, ...]
-    proved: bool
-    deepest: Deepest | None = field(default=None, compare=False)
-    partial: Plan | None = field(default=None, compare=False)
-
-    def __str__(self) -> str:
-        first = "no feasible order" if self.proved else "no feasible order found within the budget"
-        if not self.hindrances:
-            return f"{first}{'' if self.proved else '; there may be one'}"
-        told = sorted(self.hindrances, key=_is_consequence)
-        more = f"; and {len(told) - TOLD} more" if len(told) > TOLD else ""
-        reasons = "; ".join(str(hindrance) for hindrance in told[:TOLD])
-        left = f"{len(self.remaining)} part{'s' if len(self.remaining) != 1 else ''} left"
-        named = {hindrance.part for hindrance in self.hindrances}
-        unasked = [name for name in self.remaining if name not in named]
-        more += f"; not asked within the budget: {listed(unasked, TOLD)}" if unasked else ""
-        maybe = "" if self.proved else "; there may be an order"
-        return f"{first}; with {left}: {reasons}{more}{maybe}"
-
-
-def _is_consequence(hindrance: Hindrance) -> bool:
-    """Whether a part only waits for others, which have reasons of their own."""
-    return hindrance.stage == "stability"
 
 
 def plan(
@@ -350,36 +240,6 @@ def plan_of(
         workcell=workcell.name,
         robot=workcell.description.name,
         joints=workcell.description.arm.joints,
-    )
-
-
-def infeasible_of(problem: AssemblyProblem, result: SearchResult) -> Infeasible:
-    """What blocked a search that found no order, where the product comes apart no further."""
-    if result.deepest is not None:
-        deepest = result.deepest
-        known = [problem.edge_bounds.refusal(deepest.state, part) for part in members(deepest.state)]
-        told = explain(problem, deepest.state, [refusal for refusal in known if refusal is not None])
-        return Infeasible(tuple(problem.assembly.names(deepest.state)), told, result.infeasible, deepest)
-    if not result.refusals:
-        return Infeasible((), (), result.infeasible)
-    state, refusals = result.refusals[0]
-    return Infeasible(tuple(problem.assembly.names(state)), explain(problem, state, refusals), result.infeasible)
-
-
-def blocked_parts(problem: AssemblyProblem, state: int, refusals: Sequence[Blocked] = ()) -> list[Blocked]:
-    """The parts of a state that cannot leave; of those that gravity and lifting let go, the ones that were refused."""
-    answers = {refusal.part: refusal for refusal in refusals}
-    found = [problem.hindrance(state, part) or answers.get(part) for part in members(state)]
-    return [blocked for blocked in found if blocked is not None]
-
-
-def explain(problem: AssemblyProblem, state: int, refusals: Sequence[Blocked] = ()) -> tuple[Hindrance, ...]:
-    """Why each part of a state cannot leave, see `blocked_parts`. Takes about as long as the queries that were refused,
-    and half a second the first time."""
-    parts = problem.assembly.parts
-    return tuple(
-        Hindrance(parts[blocked.part].name, problem.reasons.of(blocked, state))
-        for blocked in blocked_parts(problem, state, refusals)
     )
 
 

@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, Box, Shape, pose_inverse, rotation_from_quaternion
+from takeapart.verification.bodies import add_box, place_body
 from takeapart.verification.checks import unsupported
-from takeapart.verification.model import add_box, place_body
 from takeapart.verification.pieces import convex_pieces
 from takeapart.verification.report import Finding, VerificationOptions
 from takeapart.verification.robot import mujoco
