@@ -23,6 +23,7 @@ NOBODY = 65534
 ENDINGS = {
     "--workcell": ".toml",
     "--html": ".html",
+    "--picture": ".png",
     "report --out": ".html",
     "robot --out": ".toml",
     "render --out": ".png",
@@ -30,7 +31,7 @@ ENDINGS = {
 FOLDERS = {"generate --out", "demo --out", "compare --out", "reproduce paper --out", "reproduce beyond --out"}
 FOLDERS |= {"plan --run", "plan --experience", "generate products --out"}
 PATHS = {"--out", "--run", "--experience", "--guide", "--workcell", "--assembly", "--html", "--report", "--document"}
-PATHS |= {"--verification", "--product"}
+PATHS |= {"--verification", "--product", "--picture"}
 COMMANDS = {
     "plan": ["a.json"],
     "show": ["p.json"],

@@ -20,6 +20,7 @@ from takeapart.cli.output import (
     require_output,
 )
 from takeapart.cli.robot_output import list_shipped, print_robot, robot_document, write_description, write_workcell
+from takeapart.cli.robot_picture import draw_robot, require_picture
 from takeapart.formats.messages import shown
 from takeapart.model.errors import InputError
 
@@ -68,12 +69,19 @@ if TYPE_CHECKING:
     help="An assembly for which a place of the arm is looked for; several times for one place for all.",
 )
 @click.option("--workcell", type=FILE, help="The workcell with that place (.toml); goes with --product and --out.")
+@click.option(
+    "--picture",
+    type=FILE,
+    metavar="FILE.png",
+    help="Draw the arm at home, and around it what the planner takes it for. Needs the extra view.",
+)
 @json_option
 def robot(
     file: Path | None,
     out: Path | None,
     products: tuple[Path, ...],
     workcell: Path | None,
+    picture: Path | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -98,6 +106,8 @@ def robot(
             if target.suffix != ".toml":
                 raise InputError("must end in .toml", shown(target))
             require_output(target, *inputs)
+    if picture is not None:
+        require_picture(picture, inputs)
     if workcell is not None and out is None and not described:
         raise click.UsageError("--workcell names the description: give --out too")
     if described and out is not None:
@@ -112,6 +122,8 @@ def robot(
         write_description(found, out)
     if workcell is not None and placed is not None:
         write_workcell(found, out, workcell, placed)
+    if picture is not None:
+        draw_robot(model, picture)
     if as_json:
         print_json(robot_document(found, model, placed))
     else:

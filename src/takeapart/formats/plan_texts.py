@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from takeapart.formats.bound_texts import STRAIGHT_LINE
-from takeapart.model.plan import Plan
+
+if TYPE_CHECKING:  # the command line has these words without loading what a plan is made of
+    from takeapart.model.plan import Plan
 
 SAME_PARTS = "no plan that takes out the same parts, and grips each somewhere in its volume, is shorter"
 
