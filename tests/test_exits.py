@@ -246,7 +246,7 @@ def test_the_walls_of_connectors_are_in_the_way_of_meshes() -> None:
 
 
 def test_a_part_is_not_tilted_out_of_a_shallow_seat_through_its_rim() -> None:
-    """A plate of 0.3 m has a coarse field; a disc stands 3 mm deep in it with 0.15 mm play, behind a lid: ways that lean
+    """A plate of 0.3 m has a coarse field; a disc stands 3 mm deep in it with 0.15 mm play, below a lid: leaning it
     would cut 0.2 mm into the rim."""
     plate = block((-150, -150, 0), (150, 150, 18)) - cylinder(16.15, 30).translate((0, 0, 15))
     disc = cylinder(16, 12).translate((0, 0, 15))
