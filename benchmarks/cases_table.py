@@ -1,6 +1,7 @@
 """Products that somebody drew, imported, planned by exact search and verified, each in a process of its own.
 ``python benchmarks/cases_table.py --cases ../shared/cases --document docs/products.md``.
 
+The shipped products: ``--cases data/products --out out/products --marker drawn --document docs/products.md``.
 A product is a folder: with a STEP or GLB file, with an ``assembly.json``, or with meshes in their places. What is found
 of it is kept in the output folder; with ``--only NAME`` that row is worked out again and the others stay. Lengths and
 clearances are those of the verification.
@@ -289,6 +290,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a small budget of queries")
     parser.add_argument("--out", type=Path, default=Path("out/cases"), help="folder of what is kept")
     parser.add_argument("--document", type=Path, help="document whose table is replaced")
+    parser.add_argument("--marker", default=MARKER, help="of the table in the document")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if not arguments.cases.is_dir():
@@ -305,7 +307,7 @@ def main() -> None:
         in_own_process(trial, arguments)
         print(kept_row(trial, arguments.out), flush=True)
     rows = [row for trial in tried if (row := kept_row(trial, arguments.out)) is not None]
-    publish(table(rows, tried), MARKER, arguments.document)
+    publish(table(rows, tried), arguments.marker, arguments.document)
 
 
 if __name__ == "__main__":

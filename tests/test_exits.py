@@ -243,3 +243,19 @@ def test_the_walls_of_connectors_are_in_the_way_of_meshes() -> None:
     assert free[0].direction is not None and free[0].direction[2] > 0.99 and free[0].blockers == 0
     kept = ways(Assembly("mixed", (base, cube), (connector,))).exits(1)
     assert kept and all(way.direction is None or way.direction[2] < 0.9 for way in kept if way.blockers == 0)
+
+
+def test_a_part_is_not_tilted_out_of_a_shallow_seat_through_its_rim() -> None:
+    """A plate of 0.3 m has a coarse field; a disc stands 3 mm deep in it with 0.15 mm play, below a lid: leaning it
+    would cut 0.2 mm into the rim."""
+    plate = block((-150, -150, 0), (150, 150, 18)) - cylinder(16.15, 30).translate((0, 0, 15))
+    disc = cylinder(16, 12).translate((0, 0, 15))
+    lid = block((-40, -40, 27.2), (40, 40, 40))
+    assembly = Assembly(
+        "seat", (part("plate", plate, fixed=True), part("disc", disc), part("lid", lid)), contact_gap=5e-4
+    )
+    found = ways(assembly).exits(1)
+    assert found[0].direction is not None and found[0].direction[2] == pytest.approx(1.0)
+    for way in found:
+        if way.blockers is not None:
+            assert deepest(Assembly("seat", assembly.parts[:2]), 1, way.poses) < 0.1

@@ -150,12 +150,48 @@ def test_a_gear_is_gripped_by_its_teeth_too(teeth: int) -> None:
     """A tooth's tip alone is too narrow for a pad, which rests on two of them, or on two and on one opposite."""
     body = gear(teeth)
     found = shortest_first(part_of(body), cell())
-    across = [grasp for grasp in found if abs(grasp.T_part_tool[2, 1]) < 1e-9]
-    assert across and len(across) < len(found)  # others close on its faces
     tips = 0.002 * (teeth + 2)  # m
+    across = [grasp for grasp in found if abs(grasp.T_part_tool[2, 1]) < 1e-9 and grasp.width > 0.9 * tips]
+    assert across and len(across) < len(found)  # others close on its faces, or through the bore
     for grasp in across:
         assert tips * math.cos(math.pi / teeth) - 0.001 < grasp.width < tips + 0.001
         assert (pad_hits(body, grasp) * 4 * PAD[0] * PAD[1] >= 0.8 * LEAST_CONTACT).all()
+
+
+def test_a_bar_is_gripped_across_slots_that_are_narrower_than_pads() -> None:
+    """As an aluminium profile: on either side a slot of 5 mm, 2 mm deep, all along; the hand comes from above."""
+    corners = [
+        (-8, 0),
+        (8, 0),
+        (8, 4.5),
+        (6, 4.5),
+        (6, 9.5),
+        (8, 9.5),
+        (8, 14),
+        (-8, 14),
+        (-8, 9.5),
+        (-6, 9.5),
+        (-6, 4.5),
+    ]
+    body = profile(*((x / 1e3, y / 1e3) for x, y in [*corners, (-8, 4.5)]), height=0.12)
+    T = pose((0, 0, 0), (math.sqrt(0.5), math.sqrt(0.5), 0, 0))  # it lies, its sides upright
+    found = found_on_mesh(part_of(body, T), cell()).candidates
+    across = [each for each in found if abs(each.T_part_tool[0, 1]) > 0.999 and (T @ each.T_part_tool)[2, 2] < -0.99]
+    assert across and all(each.width == pytest.approx(0.016, abs=2e-4) for each in across)
+    assert all((pad_hits(body, each) * 4 * PAD[0] * PAD[1] >= 0.8 * LEAST_CONTACT).all() for each in across)
+
+
+def test_handles_far_from_the_centre_of_mass_are_gripped() -> None:
+    """A block with a bar of another width in front, and a shaft of 0.2 m that is gripped near its ends too."""
+    block = trimesh.creation.box((0.07, 0.06, 0.05), pose((0, 0, 0)))
+    bar = trimesh.creation.box((0.014, 0.045, 0.014), pose((0, -0.05, 0)))
+    drawer = solid(block) + solid(bar)
+    mesh = drawer.to_mesh()
+    found = shortest_first(part_of(trimesh.Trimesh(mesh.vert_properties[:, :3], mesh.tri_verts)), cell())
+    assert any(grasp.T_part_tool[1, 3] < -0.045 and grasp.width < 0.015 for grasp in found)
+    shaft = trimesh.creation.cylinder(0.004, 0.2, sections=32)
+    heights = [grasp.T_part_tool[2, 3] for grasp in shortest_first(part_of(shaft), cell())]
+    assert min(heights) < -0.06 and max(heights) > 0.06
 
 
 def test_the_hand_comes_from_above_where_it_can() -> None:

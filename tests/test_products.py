@@ -71,7 +71,7 @@ def test_every_product_stands_as_drawn(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cabinet", "pump"])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_plan_of_it_holds(name: str) -> None:
     assembly = load_assembly(SHIPPED / name / "assembly.json")
     workcell = load_workcell(str(assembly.provenance["workcell"]))

@@ -87,8 +87,11 @@ def test_ways_through_parts_that_wait_for_this_one_do_not_crowd_out_others() -> 
 
 
 def test_a_longer_way_past_more_parts_is_worse() -> None:
-    short, longer, other, closed = way(0b01), way(0b11, length=0.2), way(0b10), way(None)
-    assert without_worse([longer, closed, other, short]) == (other, short)
+    short, other, closed = way(0b01), way(0b10), way(None)
+    aside, up = way(0b11, (1, 0, 0), 0.2), way(0b11, length=0.2)
+    assert without_worse([aside, closed, other, short]) == (other, short)
+    assert without_worse([up, closed, other, short]) == (other, short, up)  # lifted, it goes where a lean way may not
+    assert [each.blockers for each in without_worse([up, way(0)])] == [0]
 
 
 def test_a_way_about_where_a_better_one_goes_is_none_of_its_own() -> None:

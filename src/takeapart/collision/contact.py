@@ -131,6 +131,13 @@ class Contacts:
         there = _deepest(self.body(b), self.body(a).points, T)
         return min(least, there, _deepest(self.body(a), self.body(b).points, pose_inverse(T)))
 
+    def distance_at(self, a: int, b: int, T_world_a: Array) -> float:
+        """Least signed distance, m, of one part at a pose (4, 4) from another as drawn, by their triangles; `NEAR` at
+        most."""
+        T = pose_inverse(self._assembly.parts[b].T_world_part) @ T_world_a
+        least = min(NEAR, _least_distance(self.body(b), self.body(a).cloud, T))
+        return min(least, _least_distance(self.body(a), self.body(b).cloud, pose_inverse(T)))
+
     @cached_property
     def _by_pair(self) -> Mapping[tuple[int, int], PairFinding]:
         return {(each.first, each.second): each for each in self.findings}

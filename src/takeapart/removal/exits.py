@@ -61,6 +61,8 @@ AXES = 5  # of the directions of a part, the world's: along these it leaves afte
 UP = np.array([0.0, 0.0, 1.0])
 LEVEL = 0.05  # sine; a way sideways is less steep
 TURNINGS = 3  # places on a way sideways from which a part is tried to go up
+FIRST_LOOK, FURTHER_LOOK = 2.5e-4, 1.4  # m, and how many times further each next look at a way is
+CUTS = 8e-5  # m; deeper than that, and than as drawn, nothing may be in another
 MOST_WAITING = 12  # parts that wait for each other, of which pushes are tried
 
 
@@ -100,8 +102,47 @@ class Exits:
             if ways and not any(way.blockers == 0 for way in ways):
                 ways = self._untangled.get(part, ways)
                 leaving = leaving_before(part, self._untangled)
-            self._exits[part] = selected(ways, leaving)
+            self._exits[part] = self._chosen(part, ways, leaving)
         return self._exits[part]
+
+    def _chosen(self, part: int, ways: Sequence[Exit], leaving: int) -> tuple[Exit, ...]:
+        """Those that are kept, see `selected`; the ones among them that lean any way are looked at exactly first."""
+        looked_at: list[Exit] = []
+        while True:
+            chosen = selected(ways, leaving)
+            new = next((way for way in chosen if _leans(way) and all(way is not other for other in looked_at)), None)
+            if new is None:
+                return chosen
+            exact = self._exactly(part, new)
+            looked_at.append(exact)
+            ways = [exact if way is new else way for way in ways]
+            if any(way.blockers is not None for way in ways):
+                ways = [way for way in ways if way.blockers is not None]
+
+    def _exactly(self, part: int, way: Exit) -> Exit:
+        """A straight way with all that it cuts into of what it touches as drawn, by triangles: fields allow as much as
+        they err by, and what stands in a shallow seat would be tilted out of it through the rim."""
+        assert way.direction is not None
+        met: list[tuple[int, float]] = []
+        length = float(np.linalg.norm(way.poses[-1, :3, 3] - way.poses[0, :3, 3]))
+        for other in range(len(self._assembly.parts)):
+            found = None if other == part else self._contacts.finding(part, other)
+            if found is None or found.gap > self._around.clearance or (way.blockers or 0) >> other & 1:
+                continue
+            after = FIRST_LOOK
+            while after < length:
+                T = way.poses[0].copy()
+                T[:3, 3] += after * way.direction
+                distance = self._contacts.distance_at(part, other, T)
+                if distance < -found.depth - CUTS:
+                    met.append((other, after))
+                if distance < -found.depth - CUTS or distance >= self._around.clearance:
+                    break
+                after *= FURTHER_LOOK
+        if not met:
+            return way
+        hits = tuple(sorted([*way.hits, *met], key=lambda hit: hit[1]))
+        return replace(way, blockers=self._blockers([body for body, _ in hits], []), hits=hits)
 
     def _of(self, part: int) -> tuple[Exit, ...]:
         """The exits of a part that need no other's."""
@@ -242,6 +283,11 @@ class Exits:
 def _product(assembly: Assembly) -> Array:
     corners = [part.shape.bounding_box().moved(part.T_world_part).corners() for part in assembly.parts]
     return np.concatenate(corners)
+
+
+def _leans(way: Exit) -> bool:
+    """Whether a way goes along one of the directions that were tried for want of better ones."""
+    return way.direction is not None and any(float(way.direction @ each) > 1 - 1e-9 for each in sphere())
 
 
 def _is_new(direction: Array, known: Sequence[Array]) -> bool:

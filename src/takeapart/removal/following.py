@@ -10,6 +10,7 @@ from takeapart.model.geometry import Array, pose_inverse
 from takeapart.removal.exits import Exit
 from takeapart.removal.poses import close_poses, moved_at_most
 
+TURN_STEP = 0.0087  # rad; between two rows that turn further the joints move the tool noticeably further than straight
 ROUNDING = 12  # decimals, m, to which a straight way is known: the difference of two poses
 
 
@@ -44,6 +45,7 @@ def motion_of(way: Exit, spacing: float, radius: float) -> Array:
             moved = 0.0
         moved += step
     kept += [way.poses[-1]] if moved > 0.0 else []
+    kept = close_poses(np.array(kept), TURN_STEP, 1.0)  # pieces are shorter than a point turns at 1 m
     return np.ascontiguousarray((np.array(kept) @ pose_inverse(way.poses[0]))[:, :3])
 
 

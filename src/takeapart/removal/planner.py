@@ -240,6 +240,8 @@ class RemovalPlanner:
         place = int((situation.lifted(path.number) == path.rows[0]).all(axis=1).argmax())
         branch = situation.branches(path.number)[place]
         everything = flags_of(self.assembly.root & ~(1 << part), self._parts)
+        if situation.tool_bend(path.number, branch.rows) > LARGEST_BEND:
+            return None
         scene = situation.scene(path.number)._replace(
             world=self.world,
             present=everything,

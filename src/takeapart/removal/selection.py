@@ -14,6 +14,7 @@ from takeapart.states import members
 MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
+STRAIGHT_UP = 1 - 1e-9  # of length
 OTHER_WAY = math.cos(
     math.radians(25)
 )  # ways that hit the same and differ by less are one: the arm follows both or none
@@ -31,12 +32,15 @@ WayOut = TypeVar("WayOut", bound=_Way)
 
 def without_worse(ways: Iterable[WayOut]) -> tuple[WayOut, ...]:
     """The open ones among the ways out of a part, the best first, without those that hit more than a shorter one, and
-    without those that go about where a better one goes."""
+    without those that go about where a better one goes. The way straight up is
+    among them wherever none is open already."""
     kept: list[WayOut] = []
     for way in sorted((way for way in ways if way.blockers is not None), key=_preference):
         better = [other for other in kept if is_no_worse(other, way)]
-        alike = better and len(better) <= ALIKE and better[0].blockers == way.blockers
-        if not better or (alike and all(float(_way_of(way) @ _way_of(other)) < OTHER_WAY for other in better)):
+        alike = len(better) <= ALIKE and bool(better) and better[0].blockers == way.blockers
+        apart = all(float(_way_of(way) @ _way_of(other)) < OTHER_WAY for other in better)
+        is_spare = bool(kept) and kept[0].blockers != 0 and _rise(way) > STRAIGHT_UP
+        if not better or (alike and apart) or is_spare:
             kept.append(way)
     return tuple(kept)
 
