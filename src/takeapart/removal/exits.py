@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 
+from takeapart.collision.bounds import covers_of
 from takeapart.collision.contact import Contacts
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox
 from takeapart.removal.directions import directions_of, sphere
-from takeapart.removal.endings import APART, bounds_of, ending, only, raised
+from takeapart.removal.endings import APART, among, bounds_at, ending, raised
+from takeapart.removal.pieces import Pair
+from takeapart.removal.pruning import Best
 from takeapart.removal.pushes import Pushes, Way, unscrewed
-from takeapart.removal.surroundings import Pair, Stand, Surroundings, Sweep
+from takeapart.removal.stand import Stand, Sweeps
+from takeapart.removal.straight import Straight
+from takeapart.removal.surroundings import Surroundings
 from takeapart.states import members
 
 ExitKind = Literal["straight", "pushes", "screw"]
@@ -60,6 +65,7 @@ MOST_TRAVEL = 2.0  # m
 MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
+NEW = 0.999  # cosine; of directions all around those that differ by less from others are left out
 AXES = 5  # of the directions of a part, the world's: along these it leaves after pushes
 UP = np.array([0.0, 0.0, 1.0])
 LEVEL = 0.05  # sine; a way sideways is less steep
@@ -85,11 +91,9 @@ class Exits:
     ) -> None:
         self._assembly, self._contacts = assembly, contacts
         self._around = Surroundings(assembly, contacts, obstacles, clearance)
-        self._covers = [
-            bounds_of([box.moved(part.T_world_part).corners() for box in assembly.body(number)])
-            for number, part in enumerate(assembly.parts)
-        ]
-        self._covers += [bounds_of([box.corners()]) for box in obstacles]
+        self._bodies = [assembly.body(number) for number in range(len(assembly.parts))]
+        boxes = [bounds_at(body, part.T_world_part) for body, part in zip(self._bodies, assembly.parts, strict=True)]
+        self._covers = covers_of([*boxes, *(bounds_at([box]) for box in obstacles)])
         self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
         self._alone: dict[int, tuple[Exit, ...]] = {}
         self._exits: dict[int, tuple[Exit, ...]] = {}
@@ -113,22 +117,58 @@ class Exits:
     def _find(self, part: int) -> tuple[Exit, ...]:
         stand = self._stand(part)
         first = directions_of(self._assembly, self._contacts, part)
-        sweeps = [stand.sweep(direction, self._travel) for direction in first]
-        found = [self._along(stand, each, sweep) for each, sweep in zip(first, sweeps, strict=True)]
-        if found[0].blockers != 0:
-            found = [self._aside(stand, way, sweep, sweeps[0]) or way for way, sweep in zip(found, sweeps, strict=True)]
-        if not any(way.blockers == 0 for way in found):
-            found += [self._along(stand, direction) for direction in sphere() if _is_new(direction, first)]
-        open_ = [way for way in found if way.blockers is not None]
+        rising = self._sweep(stand, UP)
+        up, best = self._along(stand, UP, rising), Best(ALIKE)
+        found = {0: up}
+        if up.blockers is not None:
+            best.add(*_figures(up))
+        turns = [abs(float(direction[2])) <= LEVEL and up.blockers != 0 for direction in first]
+        straight = [k for k in range(1, len(first)) if not turns[k]]
+        sideways = [k for k in range(1, len(first)) if turns[k]]
+        self._look(stand, {k: first[k] for k in straight}, best, found)
+        self._look(stand, {k: first[k] for k in sideways}, best, found, rising)
+        if not any(way.blockers == 0 for way in found.values()):
+            new = np.flatnonzero((np.array(sphere()) @ np.array(first).T).max(axis=1) < NEW)
+            self._look(stand, {len(first) + k: sphere()[k] for k in new.tolist()}, best, found)
+        open_ = [found[k] for k in sorted(found) if found[k].blockers is not None]
         if not open_:
             winding, pushes = self._winding(part, range(self._around.bodies))
-            return (winding,) if winding else tuple(replace(way, pushes=pushes) for way in found[:MOST_EXITS])
+            if winding:
+                return (winding,)
+            told = [found[k] if k in found else self._along(stand, way) for k, way in enumerate(first[:MOST_EXITS])]
+            return tuple(replace(way, pushes=pushes) for way in told)
         kept: list[Exit] = []
         for way in sorted(open_, key=_preference):
             better = [other for other in kept if _is_no_worse(other, way)]
             if not better or (len(better) <= ALIKE and better[0].blockers == way.blockers):
                 kept.append(way)
         return tuple(kept[:MOST_EXITS])
+
+    def _look(
+        self,
+        stand: Stand,
+        directions: Mapping[int, Array],
+        best: Best,
+        found: dict[int, Exit],
+        rising: Sweeps | None = None,
+    ) -> None:
+        """Adds ways along directions by their numbers to those that were found, but for those that would not be kept.
+
+        Args:
+            best: of what was found.
+            rising: what is met straight up, where the ways may turn upwards.
+        """
+        if not directions:
+            return
+        numbers, own = list(directions), self._own(stand)
+        ways = Straight(stand, own, self._covers, list(directions.values()), self._travel, rising is not None)
+        for k in ways.better(best):
+            way = self._along(stand, directions[numbers[k]], ways.sweeps, k)
+            if rising is not None:
+                way = self._aside(stand, way, ways.sweeps, k, rising) or way
+            found[numbers[k]] = way
+            if way.blockers is not None:
+                best.add(*_figures(way))
 
     @cached_property
     def _untangled(self) -> dict[int, tuple[Exit, ...]]:
@@ -182,22 +222,27 @@ class Exits:
         return pushes.free(out), pushes.count
 
     def _stand(self, part: int, T: Array | None = None) -> Stand:
-        return self._around.stand(part, self._assembly.parts[part].T_world_part if T is None else T)
+        return Stand(self._around, part, self._assembly.parts[part].T_world_part if T is None else T)
 
     def _own(self, stand: Stand) -> Array:
         """(K, 2, 3) m, bounds of the cover of a part at a pose."""
-        if stand.T is self._assembly.parts[stand.part].T_world_part:
-            return self._covers[stand.part]
-        return bounds_of([box.moved(stand.T).corners() for box in self._assembly.body(stand.part)])
+        return bounds_at(self._bodies[stand.part], stand.T)
 
-    def _along(self, stand: Stand, direction: Array, sweep: Sweep | None = None, parted: Collection[Pair] = ()) -> Exit:
-        """Straight out from where a part stands."""
-        hits = dict((sweep or stand.sweep(direction, self._travel, parted)).hits)
-        others = only(self._covers, [body for body in range(self._around.bodies) if body != stand.part])
-        end = ending(self._own(stand), others, direction, hits, self._travel)
+    def _sweep(self, stand: Stand, direction: Array, parted: Collection[Pair] = ()) -> Sweeps:
+        """What is met along one direction, of pieces that have parted before or not."""
+        sweeps = Sweeps(stand, direction[None], np.array([self._travel]), parted)
+        sweeps.ask(np.ones(1, bool), range(self._around.bodies))
+        return sweeps
+
+    def _along(self, stand: Stand, direction: Array, sweeps: Sweeps | None = None, k: int = 0) -> Exit:
+        """Straight out from where a part stands, along the direction k of what was swept."""
+        hits = (sweeps or self._sweep(stand, direction)).hits[k]
+        others = among(range(self._around.bodies), self._around.bodies)
+        others[stand.part] = False
+        end = ending(self._own(stand), self._covers, others, direction, hits, self._travel)
         poses = np.repeat(stand.T[None], 2, axis=0)
         poses[1, :3, 3] += end.length * direction
-        told = sorted(((body, hits[body]) for body in end.hit), key=lambda hit: hit[1])
+        told = sorted(((body, float(hits[body])) for body in end.hit), key=lambda hit: hit[1])
         near: list[tuple[int, float]] = []
         if end.near:
             there = self._stand(stand.part, poses[1])
@@ -209,38 +254,39 @@ class Exits:
             return None
         return sum(1 << body for body in hit)
 
-    def _aside(self, stand: Stand, way: Exit, sweep: Sweep, up: Sweep) -> Exit | None:
+    def _aside(self, stand: Stand, way: Exit, sweeps: Sweeps, k: int, rising: Sweeps) -> Exit | None:
         """Sideways until nothing is above the part any more, then up from what carries it; None where that is not
         possible, or no shorter than to go on sideways.
 
         Args:
             way: straight on.
-            sweep: what is met on it.
-            up: what is met straight up.
+            sweeps: what is met on it, along the direction k.
+            rising: what is met straight up.
         """
         assert way.direction is not None
-        if abs(way.direction[2]) > LEVEL or not up.hits:
+        above = set(np.flatnonzero(rising.hits[0] < np.inf).tolist())
+        if not above:
             return None
-        hits, above = dict(sweep.hits), {body for body, _ in up.hits}
-        own = raised(self._own(stand), self._travel)
+        hits, own = sweeps.hits[k], raised(self._own(stand), self._travel)
         for _ in range(TURNINGS):
-            turn = ending(own, only(self._covers, sorted(above)), way.direction, hits, self._travel)
-            met = {body for body, after in hits.items() if after <= turn.length}
-            if turn.near or self._blockers(met) is None:
+            turn = ending(own, self._covers, among(above, self._around.bodies), way.direction, hits, self._travel)
+            if turn.near or self._blockers(turn.hit) is None:
                 return None
             T = stand.T.copy()
             T[:3, 3] += turn.length * way.direction
-            parted = [pair for pair, after in sweep.parted.items() if after <= turn.length]
-            last = self._along(self._stand(stand.part, T), UP, parted=parted)
+            parted = [pair for pair, after in sweeps.parted[k].items() if after <= turn.length]
+            there = self._stand(stand.part, T)
+            last = self._along(there, UP, self._sweep(there, UP, parted))
             if last.blockers is not None and all(body in above for body, _ in last.hits):
                 break
             above |= {body for body, _ in last.hits}
         if last.blockers is None:
             return None
         poses = np.concatenate([stand.T[None], last.poses])
-        told = [(body, after) for body, after in sweep.hits if after <= turn.length]
-        told += [(body, turn.length + after) for body, after in last.hits if body not in met]
-        found = Exit("pushes", poses, self._blockers(met | {body for body, _ in last.hits}), None, tuple(told))
+        told = [(body, float(hits[body])) for body in turn.hit]
+        told += [(body, turn.length + after) for body, after in last.hits if body not in turn.hit]
+        met = {body for body, _ in told}
+        found = Exit("pushes", poses, self._blockers(met), None, tuple(told))
         worse = way.blockers is not None and _is_no_worse(way, found)
         return None if worse else found
 
@@ -278,9 +324,13 @@ def _is_no_worse(other: Exit, way: Exit) -> bool:
     return not other.blockers & ~way.blockers and _length(other) <= _length(way) + SAME_LENGTH
 
 
+def _figures(way: Exit) -> tuple[int, float, float, bool]:
+    """State of blockers, length, rise and whether it leads down, as `Best` asks for them."""
+    assert way.blockers is not None
+    length = _length(way)
+    rise = float(way.poses[-1, 2, 3] - way.poses[0, 2, 3]) / length
+    return way.blockers, length, rise, rise < -0.05
+
+
 def _length(way: Exit) -> float:
     return math.fsum(np.linalg.norm(np.diff(way.poses[:, :3, 3], axis=0), axis=1))
-
-
-def _is_new(direction: Array, known: Sequence[Array]) -> bool:
-    return all(float(direction @ other) < 0.999 for other in known)
