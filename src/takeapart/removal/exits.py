@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Protocol
@@ -17,10 +17,10 @@ from takeapart.model.geometry import Array, OrientedBox
 from takeapart.removal.directions import directions_of, sphere
 from takeapart.removal.endings import APART, among, bounds_at, ending, raised
 from takeapart.removal.pieces import Pair
-from takeapart.removal.pruning import Best
 from takeapart.removal.pushes import Pushes, Way, unscrewed
+from takeapart.removal.ranking import Candidate, Figures, Ranking
 from takeapart.removal.stand import Stand, Sweeps
-from takeapart.removal.straight import Straight
+from takeapart.removal.straight import Straight, look_along
 from takeapart.removal.surroundings import Surroundings
 from takeapart.states import members
 
@@ -118,18 +118,31 @@ class Exits:
         stand = self._stand(part)
         first = directions_of(self._assembly, self._contacts, part)
         rising = self._sweep(stand, UP)
-        up, best = self._along(stand, UP, rising), Best(ALIKE)
-        found = {0: up}
-        if up.blockers is not None:
-            best.add(*_figures(up))
-        turns = [abs(float(direction[2])) <= LEVEL and up.blockers != 0 for direction in first]
-        straight = [k for k in range(1, len(first)) if not turns[k]]
-        sideways = [k for k in range(1, len(first)) if turns[k]]
-        self._look(stand, {k: first[k] for k in straight}, best, found)
-        self._look(stand, {k: first[k] for k in sideways}, best, found, rising)
-        if not any(way.blockers == 0 for way in found.values()):
-            new = np.flatnonzero((np.array(sphere()) @ np.array(first).T).max(axis=1) < NEW)
-            self._look(stand, {len(first) + k: sphere()[k] for k in new.tolist()}, best, found)
+        up, ranking = self._along(stand, UP, rising), Ranking(ALIKE, SAME_LENGTH)
+        found, own = {0: up}, self._own(stand)
+
+        def looked_at(ways: Straight, k: int) -> Figures | None:
+            on = self._along(stand, ways.directions[k], ways.sweeps, k)
+            aside = self._aside(stand, on, ways.sweeps, k, rising) if ways.turning else None
+            found[ways.numbers[k]] = aside or on
+            return _figures(aside or on)
+
+        if (figures := _figures(up)) is not None:
+            ranking.add([Candidate(0, figures, way=figures)])
+        groups = []
+        level = {k: abs(float(direction[2])) <= LEVEL and up.blockers != 0 for k, direction in enumerate(first)}
+        for turning in (False, True):
+            directions = {k: first[k] for k in range(1, len(first)) if level[k] == turning}
+            if directions:
+                groups.append(Straight(stand, own, self._covers, directions, self._travel, turning))
+                ranking.add(groups[-1].candidates())
+        look_along(groups, ranking, looked_at)
+        if not any(each.blockers == 0 for each in found.values()):
+            new = np.flatnonzero((np.array(sphere()) @ np.array(first).T).max(axis=1) < NEW).tolist()
+            directions = {len(first) + k: sphere()[k] for k in new}
+            groups.append(Straight(stand, own, self._covers, directions, self._travel, False))
+            ranking.add(groups[-1].candidates())
+            look_along(groups, ranking, looked_at)
         open_ = [found[k] for k in sorted(found) if found[k].blockers is not None]
         if not open_:
             winding, pushes = self._winding(part, range(self._around.bodies))
@@ -143,32 +156,6 @@ class Exits:
             if not better or (len(better) <= ALIKE and better[0].blockers == way.blockers):
                 kept.append(way)
         return tuple(kept[:MOST_EXITS])
-
-    def _look(
-        self,
-        stand: Stand,
-        directions: Mapping[int, Array],
-        best: Best,
-        found: dict[int, Exit],
-        rising: Sweeps | None = None,
-    ) -> None:
-        """Adds ways along directions by their numbers to those that were found, but for those that would not be kept.
-
-        Args:
-            best: of what was found.
-            rising: what is met straight up, where the ways may turn upwards.
-        """
-        if not directions:
-            return
-        numbers, own = list(directions), self._own(stand)
-        ways = Straight(stand, own, self._covers, list(directions.values()), self._travel, rising is not None)
-        for k in ways.better(best):
-            way = self._along(stand, directions[numbers[k]], ways.sweeps, k)
-            if rising is not None:
-                way = self._aside(stand, way, ways.sweeps, k, rising) or way
-            found[numbers[k]] = way
-            if way.blockers is not None:
-                best.add(*_figures(way))
 
     @cached_property
     def _untangled(self) -> dict[int, tuple[Exit, ...]]:
@@ -324,12 +311,13 @@ def _is_no_worse(other: Exit, way: Exit) -> bool:
     return not other.blockers & ~way.blockers and _length(other) <= _length(way) + SAME_LENGTH
 
 
-def _figures(way: Exit) -> tuple[int, float, float, bool]:
-    """State of blockers, length, rise and whether it leads down, as `Best` asks for them."""
-    assert way.blockers is not None
+def _figures(way: Exit) -> Figures | None:
+    """What its rank depends on; None where it is none."""
+    if way.blockers is None:
+        return None
     length = _length(way)
     rise = float(way.poses[-1, 2, 3] - way.poses[0, 2, 3]) / length
-    return way.blockers, length, rise, rise < -0.05
+    return Figures(way.blockers, rise < -0.05, rise, length)
 
 
 def _length(way: Exit) -> float:

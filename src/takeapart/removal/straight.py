@@ -1,13 +1,12 @@
 """Straight ways out in many directions, as far as it pays to look at them.
 
 What decides most of them costs least: what never leaves is asked first, and a way along which it is hit before any
-end can be reached is none. What is left is looked at from the steepest down, as long as it can be better than what is
-known by then.
+end can be reached is none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,10 +14,10 @@ from takeapart.collision.bounds import Covers
 from takeapart.collision.sweep import LEAST_STEP
 from takeapart.model.geometry import Array
 from takeapart.removal.endings import SHORTEST, among, lengths
-from takeapart.removal.pruning import Best
+from takeapart.removal.ranking import Candidate, Figures, Ranking
 from takeapart.removal.stand import Stand, Sweeps
 
-TOGETHER = 8  # directions that are looked at together
+GLANCES, LOOKS = 8, 4  # at as many directions together
 DOWN = -0.05  # rise per length; what falls more leads down
 
 
@@ -29,26 +28,27 @@ class Straight:
         stand: of the part.
         own: (K, 2, 3) m, bounds of its cover there.
         covers: of all bodies.
-        directions: (3,) unit vectors.
+        directions: (3,) unit vectors by their numbers.
         travel: m, at most.
         turning: whether the ways may turn after `SHORTEST`; then all is swept along all of the travel.
 
     Attributes:
+        numbers: of the directions.
+        turning: as given.
         sweeps: what is met along them, of those that were looked at.
     """
 
     def __init__(
-        self, stand: Stand, own: Array, covers: Covers, directions: Sequence[Array], travel: float, turning: bool
+        self, stand: Stand, own: Array, covers: Covers, directions: Mapping[int, Array], travel: float, turning: bool
     ) -> None:
         around = stand.around
-        self.directions = np.array(directions)
-        self._rise, self._down = self.directions[:, 2], self.directions[:, 2] < DOWN - 1e-9
+        self.numbers, self.directions = list(directions), np.array(list(directions.values()))
         bodies = [body for body in range(around.bodies) if body != stand.part]
         gaps = np.maximum(own[:, 0].min(axis=0) - covers.bounds[:, 1], covers.bounds[:, 0] - own[:, 1].max(axis=0))
         bodies.sort(key=lambda body: float(gaps[body].max()))
         self._permanent = [body for body in bodies if around.never_leaves(body)]
         self._movable = [body for body in bodies if not around.never_leaves(body)]
-        self._turning, self._least = turning, np.full(len(directions), SHORTEST)
+        self.turning, self._least = turning, np.full(len(directions), SHORTEST)
         reach = np.full(len(directions), travel)
         if not turning:
             nothing = np.full((len(directions), around.bodies), np.inf)
@@ -57,36 +57,66 @@ class Straight:
             reach = np.minimum(reach, lengths(own, covers, others, self.directions, nothing, travel) + LEAST_STEP)
         self.sweeps = Sweeps(stand, self.directions, reach)
 
-    def better(self, best: Best) -> Iterator[int]:
-        """The directions whose ways may be kept beside the best, the steepest first; all bodies are asked along them.
+    def candidates(self) -> list[Candidate]:
+        """The directions, without those along which there is no end."""
+        return [
+            Candidate(number, Figures(0, self._down(k), 1.0 if self.turning else float(self.directions[k, 2]), least))
+            for k, (number, least) in enumerate(zip(self.numbers, self._least.tolist(), strict=True))
+            if least < np.inf
+        ]
 
-        Whoever takes them adds their ways to the best, which tells how many more are worth a look.
-        """
-        order = np.lexsort((-self._rise, self._down))
-        for first in range(0, len(order), TOGETHER):
-            chosen = [k for k in order[first : first + TOGETHER].tolist() if self._least[k] < np.inf]
-            chosen = [k for k in chosen if not self._excelled(k, best, 0)]
-            chosen = self._not_at_once(chosen, best)
-            for body in self._permanent:
-                self._ask(chosen, [body])
-                chosen = [k for k in chosen if self.sweeps.hits[k, body] > self._least[k]]
-            self._ask(chosen, self._movable)
-            yield from chosen
-
-    def _not_at_once(self, chosen: list[int], best: Best) -> list[int]:
-        """Without those in which what never leaves is met at once, or parts for which there are better ways."""
+    def glance(self, chosen: list[int]) -> dict[int, int]:
+        """State of the parts that are met at once along some directions, without those along which what never leaves
+        is."""
         for body in self._permanent:
             met = self.sweeps.at_once(among(chosen, len(self.directions)), body)
             chosen = [k for k in chosen if not met[k]]
-        blockers = dict.fromkeys(chosen, 0)
+        found = dict.fromkeys(chosen, 0)
         for body in self._movable:
             met = self.sweeps.at_once(among(chosen, len(self.directions)), body)
-            blockers = {k: state | int(met[k]) << body for k, state in blockers.items()}
-        return [k for k in chosen if not self._excelled(k, best, blockers[k])]
+            found = {k: state | int(met[k]) << body for k, state in found.items()}
+        return found
 
-    def _ask(self, chosen: Sequence[int], bodies: Sequence[int]) -> None:
-        self.sweeps.ask(among(chosen, len(self.directions)), bodies)
+    def look(self, chosen: list[int]) -> list[int]:
+        """Asks what is met along some directions, without those along which what never leaves is in the way."""
+        for body in self._permanent:
+            self.sweeps.ask(among(chosen, len(self.directions)), [body])
+            chosen = [k for k in chosen if self.sweeps.hits[k, body] > self._least[k]]
+        self.sweeps.ask(among(chosen, len(self.directions)), self._movable)
+        return chosen
 
-    def _excelled(self, k: int, best: Best, met: int) -> bool:
-        rise = None if self._turning else float(self._rise[k])
-        return best.excels(met, float(self._least[k]), rise, bool(self._down[k]))
+    def _down(self, k: int) -> bool:
+        return not self.turning and bool(self.directions[k, 2] < DOWN - 1e-9)
+
+
+def look_along(groups: Sequence[Straight], ranking: Ranking, way: Callable[[Straight, int], Figures | None]) -> None:
+    """Looks along the directions of some groups as far as their ranking wants it.
+
+    Args:
+        ranking: has the candidates of all groups.
+        way: figures of the way along a direction of a group, of which all that it meets was asked; None where there is
+            none.
+    """
+    places = {number: (ways, k) for ways in groups for k, number in enumerate(ways.numbers)}
+    while wanted := ranking.wanted(GLANCES, LOOKS):
+        for ways in groups:
+            chosen = {places[each.number][1]: each for each in wanted if places[each.number][0] is ways}
+            if not chosen:
+                continue
+            if not wanted[0].glanced:
+                met = ways.glance(list(chosen))
+                for k in met:
+                    chosen[k].glanced = True
+                    chosen[k].at_best = chosen[k].at_best._replace(blockers=met[k])
+                left = set(met)
+            else:
+                left = set()
+                for k in ways.look(list(chosen)):
+                    chosen[k].way = way(ways, k)
+                    if chosen[k].way is not None:
+                        left.add(k)
+            for k, candidate in chosen.items():
+                if k in left:
+                    ranking.known(candidate)
+                else:
+                    ranking.drop(candidate)
