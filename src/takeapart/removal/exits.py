@@ -91,9 +91,8 @@ class Exits:
     ) -> None:
         self._assembly, self._contacts = assembly, contacts
         self._around = Surroundings(assembly, contacts, obstacles, clearance)
-        self._bodies = [assembly.body(number) for number in range(len(assembly.parts))]
-        boxes = [bounds_at(body, part.T_world_part) for body, part in zip(self._bodies, assembly.parts, strict=True)]
-        self._covers = covers_of([*boxes, *(bounds_at([box]) for box in obstacles)])
+        covers = [bounds_at(assembly.body(number), part.T_world_part) for number, part in enumerate(assembly.parts)]
+        self._covers = covers_of([*covers, *(bounds_at([box]) for box in obstacles)])
         self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
         self._alone: dict[int, tuple[Exit, ...]] = {}
         self._exits: dict[int, tuple[Exit, ...]] = {}
@@ -119,7 +118,7 @@ class Exits:
         first = directions_of(self._assembly, self._contacts, part)
         rising = self._sweep(stand, UP)
         up, ranking = self._along(stand, UP, rising), Ranking(ALIKE, SAME_LENGTH)
-        found, own = {0: up}, self._own(stand)
+        found = {0: up}
 
         def looked_at(ways: Straight, k: int) -> Figures | None:
             on = self._along(stand, ways.directions[k], ways.sweeps, k)
@@ -134,13 +133,13 @@ class Exits:
         for turning in (False, True):
             directions = {k: first[k] for k in range(1, len(first)) if level[k] == turning}
             if directions:
-                groups.append(Straight(stand, own, self._covers, directions, self._travel, turning))
+                groups.append(Straight(stand, self._covers, directions, self._travel, turning))
                 ranking.add(groups[-1].candidates())
         look_along(groups, ranking, looked_at)
         if not any(each.blockers == 0 for each in found.values()):
             new = np.flatnonzero((np.array(sphere()) @ np.array(first).T).max(axis=1) < NEW).tolist()
             directions = {len(first) + k: sphere()[k] for k in new}
-            groups.append(Straight(stand, own, self._covers, directions, self._travel, False))
+            groups.append(Straight(stand, self._covers, directions, self._travel, False))
             ranking.add(groups[-1].candidates())
             look_along(groups, ranking, looked_at)
         open_ = [found[k] for k in sorted(found) if found[k].blockers is not None]
@@ -211,10 +210,6 @@ class Exits:
     def _stand(self, part: int, T: Array | None = None) -> Stand:
         return Stand(self._around, part, self._assembly.parts[part].T_world_part if T is None else T)
 
-    def _own(self, stand: Stand) -> Array:
-        """(K, 2, 3) m, bounds of the cover of a part at a pose."""
-        return bounds_at(self._bodies[stand.part], stand.T)
-
     def _sweep(self, stand: Stand, direction: Array, parted: Collection[Pair] = ()) -> Sweeps:
         """What is met along one direction, of pieces that have parted before or not."""
         sweeps = Sweeps(stand, direction[None], np.array([self._travel]), parted)
@@ -226,7 +221,7 @@ class Exits:
         hits = (sweeps or self._sweep(stand, direction)).hits[k]
         others = among(range(self._around.bodies), self._around.bodies)
         others[stand.part] = False
-        end = ending(self._own(stand), self._covers, others, direction, hits, self._travel)
+        end = ending(stand.cover, self._covers, others, direction, hits, self._travel)
         poses = np.repeat(stand.T[None], 2, axis=0)
         poses[1, :3, 3] += end.length * direction
         told = sorted(((body, float(hits[body])) for body in end.hit), key=lambda hit: hit[1])
@@ -254,7 +249,7 @@ class Exits:
         above = set(np.flatnonzero(rising.hits[0] < np.inf).tolist())
         if not above:
             return None
-        hits, own = sweeps.hits[k], raised(self._own(stand), self._travel)
+        hits, own = sweeps.hits[k], raised(stand.cover, self._travel)
         for _ in range(TURNINGS):
             turn = ending(own, self._covers, among(above, self._around.bodies), way.direction, hits, self._travel)
             if turn.near or self._blockers(turn.hit) is None:

@@ -13,6 +13,7 @@ from takeapart.collision.meeting import AT_ONCE
 from takeapart.collision.passing import Keep
 from takeapart.collision.screws import Screw
 from takeapart.model.geometry import Array
+from takeapart.removal.endings import bounds_at
 from takeapart.removal.pieces import Meeting, Pair, placed
 from takeapart.removal.surroundings import FIELD_SLACK, Surroundings
 
@@ -33,11 +34,19 @@ class Stand:
     @cached_property
     def bounds(self) -> Array:
         """(K, 2, 3) m, of what moves with the part."""
+        drawn = self.around.assembly.parts[self.part].T_world_part
+        if np.array_equal(self.T[:3, :3], drawn[:3, :3]):
+            return self.around.bounds[self.around.of[self.part]] + (self.T[:3, 3] - drawn[:3, 3])
         bounds = []
         for piece in self.around.own(self.part):
             points = placed(piece.points, self.T @ piece.T_owner_piece)
             bounds.append([points.min(axis=0), points.max(axis=0)])
         return np.array(bounds)
+
+    @cached_property
+    def cover(self) -> Array:
+        """(K, 2, 3) m, bounds of the boxes that cover the part."""
+        return bounds_at(self.around.assembly.body(self.part), self.T)
 
     def meeting(self, mine: int, other: int) -> Meeting:
         """Of two pieces, the first one moves."""

@@ -26,7 +26,6 @@ class Straight:
 
     Args:
         stand: of the part.
-        own: (K, 2, 3) m, bounds of its cover there.
         covers: of all bodies.
         directions: (3,) unit vectors by their numbers.
         travel: m, at most.
@@ -39,9 +38,9 @@ class Straight:
     """
 
     def __init__(
-        self, stand: Stand, own: Array, covers: Covers, directions: Mapping[int, Array], travel: float, turning: bool
+        self, stand: Stand, covers: Covers, directions: Mapping[int, Array], travel: float, turning: bool
     ) -> None:
-        around = stand.around
+        around, own = stand.around, stand.cover
         self.numbers, self.directions = list(directions), np.array(list(directions.values()))
         bodies = [body for body in range(around.bodies) if body != stand.part]
         gaps = np.maximum(own[:, 0].min(axis=0) - covers.bounds[:, 1], covers.bounds[:, 0] - own[:, 1].max(axis=0))
