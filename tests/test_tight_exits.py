@@ -1,4 +1,4 @@
-"""Fits so tight that only the exact axis leads out, and parts that wait for each other, against what is known of them."""
+"""Fits so tight that only the exact axis leads out, and parts that wait for each other: their answers are known."""
 
 from __future__ import annotations
 
@@ -88,20 +88,34 @@ def comes_apart(assembly: Assembly) -> set[tuple[int, ...]]:
 
 
 def hooked() -> Assembly:
-    """Two hooks that hold each other in a box without a lid: neither goes up before the other, and each only after it
-    was pushed out of the other."""
-    box = block((-2, -2, -4), (62, 22, 30)) - block((0, 0, 0), (60, 20, 40))
-    one = block((0.5, 1, 0.2), (6, 19, 24)) + block((0.5, 1, 0.2), (22, 19, 5)) + block((17, 1, 0.2), (22, 19, 13))
-    other = block((28, 1, 7), (33, 19, 24)) + block((10, 1, 16), (33, 19, 20)) + block((10, 1, 8), (14.5, 19, 20))
-    return Assembly("hooked", (part("box", box, fixed=True), part("one", one), part("other", other)))
+    """Two combs with their teeth between each other in a box: neither goes up before the other, and the box lets them
+    go sideways just as far as the teeth reach. A lid lies over both."""
+    box = block((-20, -6, -6), (50, 26, 40)) - block((-14, 0, 0), (44, 20, 60))
+    one = block((0, 1, 0.2), (4, 19, 30)) + block((0, 1, 0.2), (20, 19, 4)) + block((0, 1, 14), (20, 19, 18))
+    other = block((26, 1, 4.5), (30, 19, 30)) + block((8, 1, 7), (30, 19, 11)) + block((8, 1, 21), (30, 19, 25))
+    lid = block((-19, -5, 42), (49, 25, 46))
+    parts = (part("box", box, fixed=True), part("one", one), part("other", other), part("lid", lid))
+    return Assembly("hooked", parts)
+
+
+def test_two_parts_that_hold_each_other_come_apart_by_pushes_once_the_lid_is_off() -> None:
+    assembly = hooked()
+    orders = comes_apart(assembly)
+    assert orders and orders <= {(3, 1, 2), (3, 2, 1)}
+    pushed, open_ = 0, Assembly("open", assembly.parts[:3])
+    for k in (1, 2):
+        for way in ways(assembly).exits(k):
+            if way.kind == "pushes" and way.blockers is not None and not way.blockers & 0b110:
+                pushed += 1
+                assert np.allclose(way.poses[:, :3, :3], np.eye(3), atol=1e-9)
+                assert deepest(open_, k, way.poses) < 0.2
+    assert pushed
 
 
 def waiting_lens() -> Assembly:
     """A lens with a bayonet in its mount, and a lid over both that keeps to the mount."""
     lens = bayonet()
     lid = block((-17, -17, 34), (17, 17, 38))
-    solids = [each.shape.surface() for each in lens.parts]
-    assert len(solids) == 2
     return Assembly("lens", (*lens.parts, part("lid", lid)))
 
 
