@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from mesh_cases import case
-from takeapart.collision.bounds import overlaps_along
+from takeapart.collision.bounds import Way, clear_after, covers_of, near_at, pass_near
 from takeapart.collision.contact import Contacts, body_of
 from takeapart.collision.fields import FIELD_ERROR, Field, field_of, mesh_field, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, cloud_hit
@@ -274,19 +274,31 @@ def test_plates_that_slide_on_one_another_meet_nothing_and_are_found_to_touch() 
     assert cloud_hit(body.field, body.cloud, T, np.array([0.0, 0.6, -0.8]), -3e-4, 1.0) < 1e-3
 
 
-def test_bounds_overlap_from_where_to_where_stepping_says() -> None:
-    rng = np.random.default_rng(9)
-    own, others = (np.sort(rng.uniform(-0.05, 0.05, (6, 2, 3)), axis=1) for _ in range(2))
-    steps = np.linspace(0, 0.2, 20_001)
-    for direction in (np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.8, 0.0]), np.array([-0.48, 0.6, 0.64])):
+def test_ways_end_where_stepping_finds_covers_apart() -> None:
+    rng, apart, least, beyond = np.random.default_rng(9), 0.005, 0.01, 1e-5
+    own, others = (np.sort(rng.uniform(-0.05, 0.05, (count, 2, 3)), axis=1) for count in (3, 8))
+    covers, counted = covers_of(list(others.reshape(4, 2, 2, 3))), np.array([True, True, True, False])
+    steps = np.linspace(0, 0.3, 30_001)
+    directions = rng.normal(size=(20, 3))
+    directions[:2] = [[0.0, 0.0, 1.0], [0.6, -0.8, 0.0]]
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    hits = np.where(rng.uniform(size=(20, 4)) < 0.6, rng.uniform(0, 0.05, (20, 4)), np.inf)
+    hits[:10] = np.inf
+    found = clear_after(own, covers, counted, directions, hits, Way(apart, least, beyond, 0.3))
+    passed = pass_near(own, others, directions, apart, np.full(20, 0.3))
+    shortened = 0
+    for direction, hit, length, passing in zip(directions, hits, found.tolist(), passed, strict=True):
         moved = own[:, None, None] + steps[None, None, :, None, None] * direction
         near = (
-            (others[None, :, None, 0] - moved[..., 1, :] < 0.005)
-            & (moved[..., 0, :] - others[None, :, None, 1] < 0.005)
-        ).all(axis=-1)
-        found = overlaps_along(own, others, direction, 0.005)
-        expected = [steps[row] for row in near.reshape(36, -1) if row.any()]
-        assert len(found) == len(expected) > 5
-        for (enter, leave), seen in zip(found, expected, strict=True):
-            assert seen[0] == pytest.approx(max(enter, 0.0), abs=2e-5)
-            assert seen[-1] == pytest.approx(min(leave, 0.2), abs=2e-5)
+            (others[None, :, None, 0] - moved[..., 1, :] < apart)
+            & (moved[..., 0, :] - others[None, :, None, 1] < apart)
+        ).all(axis=-1)  # (3, 8, steps)
+        assert (passing == near.any(axis=-1)).all()
+        body = near.any(axis=0).reshape(4, 2, -1).any(axis=1) & counted[:, None]
+        clear = ~(body & (hit[:, None] > steps)).any(axis=0) & (steps >= least)
+        assert clear[np.searchsorted(steps, length)] or clear[np.searchsorted(steps, length) - 1]
+        assert near_at(own, covers, counted, direction, hit, apart, length).sum() == 0
+        if (hit == np.inf).all():
+            assert length == pytest.approx(steps[clear.argmax()], abs=3e-5)
+        shortened += length < steps[(~body.any(axis=0) & (steps >= least)).argmax()] - 1e-4
+    assert shortened > 2

@@ -12,7 +12,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from takeapart.collision import bounds, fields, grids, meeting, parting, points, screws, triangles
+from takeapart.collision import bounds, fields, grids, meeting, parting, passing, points, screws, triangles
 from takeapart.compilation import LeanKernel
 from takeapart.motion import blockers, edges, legs, lifts, rrt, scene, smooth
 from takeapart.removal import contact_maps
@@ -131,6 +131,7 @@ def units(orders: bool) -> dict[str, Unit]:
     ]
     field, cloud, tree = example(fields.Field), example(points.Cloud), example(triangles.TriangleTree)
     grid16, counts, middles = np.zeros((1, 1, 1), np.int16), np.zeros((1, 1, 1), np.int8), example(fields.Field).coarse
+    side, covers, some = passing.Side(field, cloud, two, two, two), bounds.covers_of([three]), np.zeros(1, np.bool_)
     called += [  # of contact between parts
         (grids._fill, (tree, one, 0.0, 0.0, counts, grid16, middles, 0)),
         (meeting.cloud_hit, (field, cloud, two, one, 0.0, 0.0)),
@@ -142,7 +143,10 @@ def units(orders: bool) -> dict[str, Unit]:
         (meeting.cloud_distance, (field, cloud, two, 0.0)),
         (triangles.distances, (two, tree, 0.0)),
         (fields.signed_distances, (field, two)),
-        (bounds.overlaps_along, (three, three, one, 0.0)),
+        (bounds.pass_near, (three, three, two, 0.0, one)),
+        (bounds.clear_after, (three, covers, some, two, two, example(bounds.Way))),
+        (bounds.near_at, (three, covers, some, one, one, 0.0, 0.0)),
+        (passing.passes, (side, side, example(passing.Keep), one)),
     ]
     of_orders = [
         (lattice._count_candidates, (bits, bits, int64)),

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from takeapart.collision.axes import drawn_axes
 from takeapart.collision.depths import depth_in
 from takeapart.collision.fields import FIELD_ERROR, Field, field_of, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, points_below
@@ -56,6 +57,11 @@ class Body:
     def facets(self) -> tuple[Array, ...]:
         """Normals (3,) in the part's frame of groups of parallel facets, those of the largest areas first."""
         return facet_normals(self.surface)
+
+    @cached_property
+    def axes(self) -> tuple[Array, ...]:
+        """Axes (3,) in the part's frame of what is drawn along a line: round, or a profile."""
+        return drawn_axes(self.surface, self.facets)
 
     @cached_property
     def tree(self) -> TriangleTree:

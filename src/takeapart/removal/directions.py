@@ -11,6 +11,8 @@ from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
 
 SAME = 0.9995  # cosine; directions that differ by less are one
+EXACT = 1e-4  # rad; an axis of the part that differs by more from a direction is one of its own
+WORLD = 5  # directions that are the world's own, at the beginning
 FACETS = 6  # largest groups of parallel facets of a part that are tried
 SPHERE = 96  # directions all around
 
@@ -38,6 +40,9 @@ def directions_of(assembly: Assembly, contacts: Contacts, part: int) -> tuple[Ar
     for normal in _facet_normals(assembly, contacts, part):
         add(normal)
         add(-normal)
+    for exact in contacts.body(part).axes:
+        _add_exactly(body.T_world_part[:3, :3] @ exact, chosen)
+        _add_exactly(-body.T_world_part[:3, :3] @ exact, chosen)
     for other in range(len(assembly.parts)):
         if other != part and contacts.finding(part, other) is not None:
             for normal in _facet_normals(assembly, contacts, other)[:3]:
@@ -47,6 +52,19 @@ def directions_of(assembly: Assembly, contacts: Contacts, part: int) -> tuple[Ar
         add(np.array([np.cos(angle), np.sin(angle), 0.0]))
     add(np.array([0.0, 0.0, -1.0]))
     return tuple(chosen)
+
+
+def _add_exactly(axis: Array, chosen: list[Array]) -> None:
+    """Puts an axis in the place of a direction that is nearly the same, the world's excepted, or adds it: a tight fit
+    leaves no play for what is nearly right."""
+    near = [k for k, other in enumerate(chosen) if float(axis @ other) >= SAME]
+    if any(float(np.linalg.norm(axis - chosen[k])) < EXACT for k in near):
+        return
+    inexact = [k for k in near if k >= WORLD]
+    if inexact:
+        chosen[inexact[0]] = axis
+    else:
+        chosen.append(axis)
 
 
 def _facet_normals(assembly: Assembly, contacts: Contacts, part: int) -> list[Array]:

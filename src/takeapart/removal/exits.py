@@ -9,14 +9,28 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from takeapart.collision.bounds import covers_of
 from takeapart.collision.contact import Contacts
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array, OrientedBox
 from takeapart.removal.directions import directions_of, sphere
-from takeapart.removal.endings import APART, bounds_of, ending, only, raised
+from takeapart.removal.endings import APART, among, bounds_at, ending, raised
+from takeapart.removal.pieces import Pair
 from takeapart.removal.pushes import Pushes, Way, unscrewed
-from takeapart.removal.selection import MOST_EXITS, is_no_worse, leaving_before, selected, stuck, without_worse
-from takeapart.removal.surroundings import Pair, Stand, Surroundings, Sweep
+from takeapart.removal.ranking import Candidate, Ranking
+from takeapart.removal.selection import (
+    MOST_EXITS,
+    Figures,
+    figures_of,
+    is_no_worse,
+    leaving_before,
+    selected,
+    stuck,
+    without_worse,
+)
+from takeapart.removal.stand import Stand, Sweeps
+from takeapart.removal.straight import Straight, look_along
+from takeapart.removal.surroundings import Surroundings
 from takeapart.states import members
 
 ExitKind = Literal["straight", "pushes", "screw"]
@@ -57,6 +71,7 @@ class ExitRule(Protocol):
 
 
 MOST_TRAVEL = 2.0  # m
+NEW = 0.999  # cosine; of directions all around those that differ by less from others are left out
 AXES = 5  # of the directions of a part, the world's: along these it leaves after pushes
 UP = np.array([0.0, 0.0, 1.0])
 LEVEL = 0.05  # sine; a way sideways is less steep
@@ -84,11 +99,8 @@ class Exits:
     ) -> None:
         self._assembly, self._contacts = assembly, contacts
         self._around = Surroundings(assembly, contacts, obstacles, clearance)
-        self._covers = [
-            bounds_of([box.moved(part.T_world_part).corners() for box in assembly.body(number)])
-            for number, part in enumerate(assembly.parts)
-        ]
-        self._covers += [bounds_of([box.corners()]) for box in obstacles]
+        covers = [bounds_at(assembly.body(number), part.T_world_part) for number, part in enumerate(assembly.parts)]
+        self._covers = covers_of([*covers, *(bounds_at([box]) for box in obstacles)])
         self._travel = min(MOST_TRAVEL, float(np.linalg.norm(np.ptp(_product(assembly), axis=0))) + 2 * APART)
         self._alone: dict[int, tuple[Exit, ...]] = {}
         self._exits: dict[int, tuple[Exit, ...]] = {}
@@ -153,16 +165,39 @@ class Exits:
     def _find(self, part: int) -> tuple[Exit, ...]:
         stand = self._stand(part)
         first = directions_of(self._assembly, self._contacts, part)
-        sweeps = [stand.sweep(direction, self._travel) for direction in first]
-        found = [self._along(stand, each, sweep) for each, sweep in zip(first, sweeps, strict=True)]
-        if found[0].blockers != 0:
-            found = [self._aside(stand, way, sweep, sweeps[0]) or way for way, sweep in zip(found, sweeps, strict=True)]
-        if not any(way.blockers == 0 for way in found):
-            found += [self._along(stand, direction) for direction in sphere() if _is_new(direction, first)]
-        open_ = [way for way in found if way.blockers is not None]
+        rising = self._sweep(stand, UP)
+        up, ranking = self._along(stand, UP, rising), Ranking()
+        found = {0: up}
+
+        def looked_at(ways: Straight, k: int) -> Figures | None:
+            on = self._along(stand, ways.directions[k], ways.sweeps, k)
+            aside = self._aside(stand, on, ways.sweeps, k, rising) if ways.turning else None
+            found[ways.numbers[k]] = aside or on
+            return figures_of(aside or on)
+
+        if (figures := figures_of(up)) is not None:
+            ranking.add([Candidate(0, figures, way=figures)])
+        groups = []
+        level = {k: abs(float(direction[2])) <= LEVEL and up.blockers != 0 for k, direction in enumerate(first)}
+        for turning in (False, True):
+            directions = {k: first[k] for k in range(1, len(first)) if level[k] == turning}
+            if directions:
+                groups.append(Straight(stand, self._covers, directions, self._travel, turning))
+                ranking.add(groups[-1].candidates())
+        look_along(groups, ranking, looked_at)
+        if not any(each.blockers == 0 for each in found.values()):
+            new = np.flatnonzero((np.array(sphere()) @ np.array(first).T).max(axis=1) < NEW).tolist()
+            directions = {len(first) + k: sphere()[k] for k in new}
+            groups.append(Straight(stand, self._covers, directions, self._travel, False))
+            ranking.add(groups[-1].candidates())
+            look_along(groups, ranking, looked_at)
+        open_ = [found[k] for k in sorted(found) if found[k].blockers is not None]
         if not open_:
             winding, pushes = self._winding(part, range(self._around.bodies))
-            return (winding,) if winding else tuple(replace(way, pushes=pushes) for way in found[:MOST_EXITS])
+            if winding:
+                return (winding,)
+            told = [found[k] if k in found else self._along(stand, way) for k, way in enumerate(first[:MOST_EXITS])]
+            return tuple(replace(way, pushes=pushes) for way in told)
         return without_worse(open_)
 
     @cached_property
@@ -217,22 +252,23 @@ class Exits:
         return pushes.free(out), pushes.count
 
     def _stand(self, part: int, T: Array | None = None) -> Stand:
-        return self._around.stand(part, self._assembly.parts[part].T_world_part if T is None else T)
+        return Stand(self._around, part, self._assembly.parts[part].T_world_part if T is None else T)
 
-    def _own(self, stand: Stand) -> Array:
-        """(K, 2, 3) m, bounds of the cover of a part at a pose."""
-        if stand.T is self._assembly.parts[stand.part].T_world_part:
-            return self._covers[stand.part]
-        return bounds_of([box.moved(stand.T).corners() for box in self._assembly.body(stand.part)])
+    def _sweep(self, stand: Stand, direction: Array, parted: Collection[Pair] = ()) -> Sweeps:
+        """What is met along one direction, of pieces that have parted before or not."""
+        sweeps = Sweeps(stand, direction[None], np.array([self._travel]), parted)
+        sweeps.ask(np.ones(1, bool), range(self._around.bodies))
+        return sweeps
 
-    def _along(self, stand: Stand, direction: Array, sweep: Sweep | None = None, parted: Collection[Pair] = ()) -> Exit:
-        """Straight out from where a part stands."""
-        hits = dict((sweep or stand.sweep(direction, self._travel, parted)).hits)
-        others = only(self._covers, [body for body in range(self._around.bodies) if body != stand.part])
-        end = ending(self._own(stand), others, direction, hits, self._travel)
+    def _along(self, stand: Stand, direction: Array, sweeps: Sweeps | None = None, k: int = 0) -> Exit:
+        """Straight out from where a part stands, along the direction k of what was swept."""
+        hits = (sweeps or self._sweep(stand, direction)).hits[k]
+        others = among(range(self._around.bodies), self._around.bodies)
+        others[stand.part] = False
+        end = ending(stand.cover, self._covers, others, direction, hits, self._travel)
         poses = np.repeat(stand.T[None], 2, axis=0)
         poses[1, :3, 3] += end.length * direction
-        told = sorted(((body, hits[body]) for body in end.hit), key=lambda hit: hit[1])
+        told = sorted(((body, float(hits[body])) for body in end.hit), key=lambda hit: hit[1])
         near: list[tuple[int, float]] = []
         if end.near:
             there = self._stand(stand.part, poses[1])
@@ -244,38 +280,39 @@ class Exits:
             return None
         return sum(1 << body for body in hit)
 
-    def _aside(self, stand: Stand, way: Exit, sweep: Sweep, up: Sweep) -> Exit | None:
+    def _aside(self, stand: Stand, way: Exit, sweeps: Sweeps, k: int, rising: Sweeps) -> Exit | None:
         """Sideways until nothing is above the part any more, then up from what carries it; None where that is not
         possible, or no shorter than to go on sideways.
 
         Args:
             way: straight on.
-            sweep: what is met on it.
-            up: what is met straight up.
+            sweeps: what is met on it, along the direction k.
+            rising: what is met straight up.
         """
         assert way.direction is not None
-        if abs(way.direction[2]) > LEVEL or not up.hits:
+        above = set(np.flatnonzero(rising.hits[0] < np.inf).tolist())
+        if not above:
             return None
-        hits, above = dict(sweep.hits), {body for body, _ in up.hits}
-        own = raised(self._own(stand), self._travel)
+        hits, own = sweeps.hits[k], raised(stand.cover, self._travel)
         for _ in range(TURNINGS):
-            turn = ending(own, only(self._covers, sorted(above)), way.direction, hits, self._travel)
-            met = {body for body, after in hits.items() if after <= turn.length}
-            if turn.near or self._blockers(met) is None:
+            turn = ending(own, self._covers, among(above, self._around.bodies), way.direction, hits, self._travel)
+            if turn.near or self._blockers(turn.hit) is None:
                 return None
             T = stand.T.copy()
             T[:3, 3] += turn.length * way.direction
-            parted = [pair for pair, after in sweep.parted.items() if after <= turn.length]
-            last = self._along(self._stand(stand.part, T), UP, parted=parted)
+            parted = [pair for pair, after in sweeps.parted[k].items() if after <= turn.length]
+            there = self._stand(stand.part, T)
+            last = self._along(there, UP, self._sweep(there, UP, parted))
             if last.blockers is not None and all(body in above for body, _ in last.hits):
                 break
             above |= {body for body, _ in last.hits}
         if last.blockers is None:
             return None
         poses = np.concatenate([stand.T[None], last.poses])
-        told = [(body, after) for body, after in sweep.hits if after <= turn.length]
-        told += [(body, turn.length + after) for body, after in last.hits if body not in met]
-        found = Exit("pushes", poses, self._blockers(met | {body for body, _ in last.hits}), None, tuple(told))
+        told = [(body, float(hits[body])) for body in turn.hit]
+        told += [(body, turn.length + after) for body, after in last.hits if body not in turn.hit]
+        met = {body for body, _ in told}
+        found = Exit("pushes", poses, self._blockers(met), None, tuple(told))
         worse = way.blockers is not None and is_no_worse(way, found)
         return None if worse else found
 
@@ -288,7 +325,3 @@ def _product(assembly: Assembly) -> Array:
 def _leans(way: Exit) -> bool:
     """Whether a way goes along one of the directions that were tried for want of better ones."""
     return way.direction is not None and any(float(way.direction @ each) > 1 - 1e-9 for each in sphere())
-
-
-def _is_new(direction: Array, known: Sequence[Array]) -> bool:
-    return all(float(direction @ other) < 0.999 for other in known)

@@ -17,7 +17,8 @@ import numpy as np
 from takeapart.collision.screws import Screw
 from takeapart.model.assembly import Assembly
 from takeapart.model.geometry import Array
-from takeapart.removal.surroundings import Stand, Surroundings
+from takeapart.removal.stand import Stand
+from takeapart.removal.surroundings import Surroundings
 
 MOST_POSES = 24  # of a part that are looked at
 MOST_PUSHES = 4
@@ -79,7 +80,7 @@ class Pushes:
         while queue and looked_at < MOST_POSES:
             pushes, _, T, path = heapq.heappop(queue)
             looked_at += 1
-            stand, middle = self._around.stand(self._part, T), T[:3, :3] @ box.T_frame_box[:3, 3] + T[:3, 3]
+            stand, middle = Stand(self._around, self._part, T), T[:3, :3] @ box.T_frame_box[:3, 3] + T[:3, 3]
             for screw, length, lever in _moves(axes, middle, longest, reach):
                 self.count += 1
                 stopped = stand.stop(screw, length, self._others)

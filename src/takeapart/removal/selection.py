@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,9 +15,7 @@ MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
 STRAIGHT_UP = 1 - 1e-9  # of length
-OTHER_WAY = math.cos(
-    math.radians(25)
-)  # ways that hit the same and differ by less are one: the arm follows both or none
+OTHER_WAY = math.cos(math.radians(25))  # of ways that hit the same and differ by less one is kept: the arm follows both
 
 
 class _Way(Protocol):
@@ -30,19 +28,56 @@ class _Way(Protocol):
 WayOut = TypeVar("WayOut", bound=_Way)
 
 
+class Figures(NamedTuple):
+    """What the rank of a way depends on, and whether it is kept.
+
+    Args:
+        blockers: state of the parts that it hits.
+        down: whether it ends lower.
+        rise: of the end over the start, per length of the way.
+        length: m.
+        towards: unit vector from start to end; None where it is not known yet.
+    """
+
+    blockers: int
+    down: bool
+    rise: float
+    length: float
+    towards: tuple[float, float, float] | None
+
+
+def figures_of(way: _Way) -> Figures | None:
+    """The figures of an open way; None where it is none."""
+    if way.blockers is None:
+        return None
+    shift, length = way.poses[-1, :3, 3] - way.poses[0, :3, 3], _length(way)
+    x, y, z = (shift / max(float(np.linalg.norm(shift)), 1e-12)).tolist()
+    rise = float(shift[2]) / length
+    return Figures(way.blockers, rise < -0.05, rise, length, (x, y, z))
+
+
+def is_kept(way: Figures, kept: Sequence[Figures]) -> bool:
+    """Whether a way is worth trying beside those that rank before it and are.
+
+    Not worth it is what hits more than a shorter one, and what goes about where a better one goes. The way straight up
+    is worth it wherever none is open already.
+    """
+    better = [other for other in kept if _no_worse(other, way)]
+    if not better or (kept[0].blockers != 0 and way.towards is not None and way.rise > STRAIGHT_UP):
+        return True
+    if len(better) > ALIKE or better[0].blockers != way.blockers:
+        return False
+    return way.towards is None or all(_cosine(way.towards, other.towards) < OTHER_WAY for other in better)
+
+
 def without_worse(ways: Iterable[WayOut]) -> tuple[WayOut, ...]:
-    """The open ones among the ways out of a part, the best first, without those that hit more than a shorter one, and
-    without those that go about where a better one goes. The way straight up is
-    among them wherever none is open already."""
-    kept: list[WayOut] = []
-    for way in sorted((way for way in ways if way.blockers is not None), key=_preference):
-        better = [other for other in kept if is_no_worse(other, way)]
-        alike = len(better) <= ALIKE and bool(better) and better[0].blockers == way.blockers
-        apart = all(float(_way_of(way) @ _way_of(other)) < OTHER_WAY for other in better)
-        is_spare = bool(kept) and kept[0].blockers != 0 and _rise(way) > STRAIGHT_UP
-        if not better or (alike and apart) or is_spare:
-            kept.append(way)
-    return tuple(kept)
+    """The open ones among the ways out of a part that are worth trying, the best first."""
+    ranked = [(way, figures) for way in ways if (figures := figures_of(way)) is not None]
+    kept: list[tuple[WayOut, Figures]] = []
+    for way, figures in sorted(ranked, key=lambda each: preference(each[1])):
+        if is_kept(figures, [other for _, other in kept]):
+            kept.append((way, figures))
+    return tuple(way for way, _ in kept)
 
 
 def selected(ways: Sequence[WayOut], leaving: int) -> tuple[WayOut, ...]:
@@ -75,8 +110,9 @@ def stuck(ways: Mapping[int, Sequence[_Way]]) -> int:
 
 def is_no_worse(other: _Way, way: _Way) -> bool:
     """Whether an exit hits no part that another does not hit, and is no longer."""
-    assert way.blockers is not None and other.blockers is not None
-    return not other.blockers & ~way.blockers and _length(other) <= _length(way) + SAME_LENGTH
+    figures, others = figures_of(way), figures_of(other)
+    assert figures is not None and others is not None
+    return _no_worse(others, figures)
 
 
 def _left(state: int, ways: Mapping[int, Sequence[_Way]], staying: int | None) -> tuple[int, int]:
@@ -93,17 +129,17 @@ def _left(state: int, ways: Mapping[int, Sequence[_Way]], staying: int | None) -
         state &= ~sum(1 << part for part in free)
 
 
-def _preference(way: _Way) -> tuple[int, int, float, float]:
-    """Few blockers first, then upwards, then short."""
-    assert way.blockers is not None
-    rise = _rise(way)
-    return way.blockers.bit_count(), int(rise < -0.05), round(-rise, 6), round(_length(way), 6)
+def preference(way: Figures) -> tuple[int, bool, float, float]:
+    """By which ways are ranked: few blockers first, then upwards, then short."""
+    return way.blockers.bit_count(), way.down, round(-way.rise, 6), round(way.length, 6)
 
 
-def _way_of(way: _Way) -> Array:
-    """Unit vector from start to end."""
-    shift = way.poses[-1, :3, 3] - way.poses[0, :3, 3]
-    return np.asarray(shift / max(float(np.linalg.norm(shift)), 1e-12))
+def _no_worse(other: Figures, way: Figures) -> bool:
+    return not other.blockers & ~way.blockers and other.length <= way.length + SAME_LENGTH
+
+
+def _cosine(first: tuple[float, float, float], second: tuple[float, float, float] | None) -> float:
+    return sum(a * b for a, b in zip(first, second, strict=True)) if second is not None else -1.0
 
 
 def _rise(way: _Way) -> float:
