@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ class Way:
 
     blockers: int | None
     poses: Array
+    leans: bool = False
 
 
 def way(blockers: int | None, direction: tuple[float, float, float] = (0, 0, 1), length: float = 0.1) -> Way:
@@ -95,5 +96,7 @@ def test_a_longer_way_past_more_parts_is_worse() -> None:
 
 
 def test_a_way_about_where_a_better_one_goes_is_none_of_its_own() -> None:
-    up, leaning, aside = way(1), way(1, (0.05, -0.13, 0.99)), way(1, (1, 0, 0))
+    up, leaning, aside = way(1), replace(way(1, (0.05, -0.13, 0.99)), leans=True), way(1, (1, 0, 0))
     assert without_worse([leaning, aside, up]) == (up, aside)
+    axis = way(1, (0.05, -0.13, 0.99))  # of a hole, which suggests it
+    assert without_worse([axis, aside, up]) == (up, axis, aside)

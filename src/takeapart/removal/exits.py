@@ -61,6 +61,11 @@ class Exit:
     near: tuple[tuple[int, float], ...] = ()
     pushes: int = 0
 
+    @property
+    def leans(self) -> bool:
+        """Whether it goes along one of the directions that are tried for want of better ones."""
+        return self.direction is not None and any(float(self.direction @ each) > 1 - 1e-9 for each in sphere())
+
 
 class ExitRule(Protocol):
     """Which exits a part has."""
@@ -122,7 +127,7 @@ class Exits:
         looked_at: list[Exit] = []
         while True:
             chosen = selected(ways, leaving)
-            new = next((way for way in chosen if _leans(way) and all(way is not other for other in looked_at)), None)
+            new = next((way for way in chosen if way.leans and all(way is not other for other in looked_at)), None)
             if new is None:
                 return chosen
             exact = self._exactly(part, new)
@@ -320,8 +325,3 @@ class Exits:
 def _product(assembly: Assembly) -> Array:
     corners = [part.shape.bounding_box().moved(part.T_world_part).corners() for part in assembly.parts]
     return np.concatenate(corners)
-
-
-def _leans(way: Exit) -> bool:
-    """Whether a way goes along one of the directions that were tried for want of better ones."""
-    return way.direction is not None and any(float(way.direction @ each) > 1 - 1e-9 for each in sphere())

@@ -15,7 +15,7 @@ MOST_EXITS = 8  # of a part
 ALIKE = 2  # exits that are kept beside a better one that hits the same parts: the arm may follow them and not that one
 SAME_LENGTH = 0.01  # m
 STRAIGHT_UP = 1 - 1e-9  # of length
-OTHER_WAY = math.cos(math.radians(25))  # of ways that hit the same and differ by less one is kept: the arm follows both
+OTHER_WAY = math.cos(math.radians(25))  # what leans from a way by less, and hits the same, adds nothing to it
 
 
 class _Way(Protocol):
@@ -23,6 +23,8 @@ class _Way(Protocol):
     def poses(self) -> Array: ...
     @property
     def blockers(self) -> int | None: ...
+    @property
+    def leans(self) -> bool: ...
 
 
 WayOut = TypeVar("WayOut", bound=_Way)
@@ -37,6 +39,7 @@ class Figures(NamedTuple):
         rise: of the end over the start, per length of the way.
         length: m.
         towards: unit vector from start to end; None where it is not known yet.
+        leans: whether it goes along a direction that nothing suggests.
     """
 
     blockers: int
@@ -44,6 +47,7 @@ class Figures(NamedTuple):
     rise: float
     length: float
     towards: tuple[float, float, float] | None
+    leans: bool = False
 
 
 def figures_of(way: _Way) -> Figures | None:
@@ -53,13 +57,13 @@ def figures_of(way: _Way) -> Figures | None:
     shift, length = way.poses[-1, :3, 3] - way.poses[0, :3, 3], _length(way)
     x, y, z = (shift / max(float(np.linalg.norm(shift)), 1e-12)).tolist()
     rise = float(shift[2]) / length
-    return Figures(way.blockers, rise < -0.05, rise, length, (x, y, z))
+    return Figures(way.blockers, rise < -0.05, rise, length, (x, y, z), way.leans)
 
 
 def is_kept(way: Figures, kept: Sequence[Figures]) -> bool:
     """Whether a way is worth trying beside those that rank before it and are.
 
-    Not worth it is what hits more than a shorter one, and what goes about where a better one goes. The way straight up
+    Not worth it is what hits more than a shorter one, and what leans but little from a better one. The way straight up
     is worth it wherever none is open already.
     """
     better = [other for other in kept if _no_worse(other, way)]
@@ -67,7 +71,9 @@ def is_kept(way: Figures, kept: Sequence[Figures]) -> bool:
         return True
     if len(better) > ALIKE or better[0].blockers != way.blockers:
         return False
-    return way.towards is None or all(_cosine(way.towards, other.towards) < OTHER_WAY for other in better)
+    return (
+        not way.leans or way.towards is None or all(_cosine(way.towards, other.towards) < OTHER_WAY for other in better)
+    )
 
 
 def without_worse(ways: Iterable[WayOut]) -> tuple[WayOut, ...]:
