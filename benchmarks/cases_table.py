@@ -142,7 +142,7 @@ def row_of(trial: Trial, cases: Path, folder: Path, unit: str, budget: Budget) -
     names = [part.name for part in assembly.parts]
     pairs = too_deep(assembly) if assembly.has_meshes else []
     row = replace(
-        row, deep=tuple(f"{names[each.first]}, {names[each.second]}: {1e3 * each.depth:.2f} mm" for each in pairs)
+        row, deep=tuple(f"{names[each.first]}, {names[each.second]}: {1e3 * depth:.2f} mm" for each, depth in pairs)
     )
     options, start = PlanningOptions(budget=budget), time.process_time()
     try:

@@ -90,12 +90,13 @@ def imported(trial: Trial, cases: Path, unit: str) -> Assembly:
     assembly = import_product(source, measure, trial.fix, contact_gap=trial.contact_gap).assembly
     if trial.allow_overlaps:
         names = [part.name for part in assembly.parts]
-        meant = tuple((names[each.first], names[each.second]) for each in too_deep(assembly))
+        meant = tuple((names[each.first], names[each.second]) for each, _ in too_deep(assembly))
         assembly = replace(assembly, allowed_overlaps=meant)
     return replace(assembly, name=trial.name)
 
 
-def too_deep(assembly: Assembly) -> list[PairFinding]:
-    """Pairs that a planner refuses unless they are meant, the deepest first."""
-    deep = [each for each in Contacts(assembly).findings if each.depth > OVERLAP_LIMIT]
-    return sorted(deep, key=lambda each: -each.depth)
+def too_deep(assembly: Assembly) -> list[tuple[PairFinding, float]]:
+    """Pairs that a planner refuses unless they are meant, and how deep they overlap, m; the deepest first."""
+    contacts = Contacts(assembly)
+    deep = [(each, contacts.depth(each)) for each in contacts.findings if each.depth > OVERLAP_LIMIT]
+    return sorted(deep, key=lambda each: -each[1])

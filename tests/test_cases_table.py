@@ -94,5 +94,5 @@ def test_two_drawers_that_overlap_are_refused_by_name_and_depth(tmp_path: Path) 
     if not (CASES / "furniture_drawer").is_dir():
         pytest.skip("no product furniture_drawer: it is no part of the project")
     row = cases_table.row_of(Trial("furniture_drawer"), CASES, tmp_path, "m", cases_table.Budget())
-    assert row.length is None and "'drawer_box' and 'drawer_container_bottom' overlap by 3.13 mm" in row.refusal
-    assert row.deep == ("drawer_box, drawer_container_bottom: 3.13 mm",)
+    assert row.length is None and "'drawer_box' and 'drawer_container_bottom' overlap by 3.25 mm" in row.refusal
+    assert row.deep == ("drawer_box, drawer_container_bottom: 3.25 mm",)

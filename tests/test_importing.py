@@ -403,13 +403,15 @@ def test_pairs_are_as_the_fields_of_the_planner_have_them(case: str) -> None:
 
     found = import_product(CASES / case, unit="m")
     pairs = {(p.first, p.second): p for p in found.pairs}
-    findings = Contacts(found.assembly).findings
+    contacts = Contacts(found.assembly)
+    findings = contacts.findings
     assert findings and {(f.first, f.second) for f in findings} == set(pairs)
     for each in findings:
         pair = pairs[each.first, each.second]
         assert pair.gap == pytest.approx(each.gap, abs=5e-5)
         if not np.isnan(pair.depth):
-            assert -2e-5 < pair.depth - each.depth < 2e-4  # the planner's points stand 2 mm apart, these 0.5 mm
+            assert -2e-5 < pair.depth - each.depth < 2e-4  # the planner's points stand 2 mm apart
+            assert pair.depth == pytest.approx(contacts.depth(each), abs=2e-5)  # what it says
 
 
 @pytest.mark.skipif(not CASES.exists(), reason="the cases are not beside this checkout")

@@ -26,7 +26,7 @@ from takeapart.removal.placement import overlap_depth
 from takeapart.removal.planner import RemovalOptions, RemovalPlanner
 from takeapart.removal.reasons import Reason, Reasons
 from takeapart.removal.result import Blocked
-from takeapart.removal.wording import counted, listed
+from takeapart.removal.wording import counted, listed, millimetres
 from takeapart.robot.extent import arm_extent
 from takeapart.robot.ik import InverseKinematics
 from takeapart.robot.kinematics import forward
@@ -257,7 +257,8 @@ def test_a_plate_on_the_table_cannot_be_gripped(robot: RobotModel, workcell: Wor
     assert (reason.stage, reason.cause, reason.blamed) == ("grasp", "hand", ("table",))
     # From the side the hand meets the plate, which reaches 39 mm from between the fingertips towards the palm.
     across, along = 8 * 2 * 2, 8 * 2 * 2 + 1 * 2 * 2
-    assert reason.text == f"the hand hits table in all {across} grasps; in {along} more it hits the part itself"
+    counts = " (nearer than 1.6 mm counts: the clearance of 1 mm and 0.6 mm that planning adds)"
+    assert reason.text == f"the hand hits table in all {across} grasps{counts}; in {along} more it hits the part itself"
     assert dict(reason.numbers) == {"grasps": across + along}
     assert dict(reason.hits) == {"table": across, "the part itself": along}
 
@@ -308,7 +309,8 @@ def test_a_wall_that_the_arm_would_have_to_pass_through(robot: RobotModel, workc
     reason = asked(planner)
     assert (reason.stage, reason.cause, reason.blamed) == ("ik", "arm", ("wall",))
     hits, numbers = dict(reason.hits), dict(reason.numbers)
-    assert reason.text == f"the arm hits wall in all {numbers['ways']} ways to hold and lift it"
+    counts = " (nearer than 1.6 mm counts: the clearance of 1 mm and 0.6 mm that planning adds)"
+    assert reason.text == f"the arm hits wall in all {numbers['ways']} ways to hold and lift it{counts}"
     hands = planner.reach.hands(0, planner.workspace())
     free = [hand for hand in hands if hand.blockers is not None]
     assert numbers["grasps"] == len(free)
@@ -526,6 +528,11 @@ def test_a_goal_in_a_wall_of_a_fixed_part(robot: RobotModel, workcell: Workcell)
 # ---- words
 
 
+def test_lengths_are_told_to_a_hundredth_of_a_millimetre() -> None:
+    told = [millimetres(length) for length in (0.05, 0.0007287, 0.01235, 0.00001234, 0.8553, 2.0)]
+    assert told == ["50 mm", "0.73 mm", "12.35 mm", "0.012 mm", "855.3 mm", "2000 mm"]
+
+
 def test_names_and_counts_in_words() -> None:
     assert listed(["a"]) == "a"
     assert listed(["a", "b", "c"]) == "a, b and c"
@@ -545,6 +552,11 @@ def test_a_long_list_of_reasons_begins_with_those_that_wait_for_nobody() -> None
     remaining = tuple(each.part for each in (*waiting, heavy))
     told = str(Infeasible(remaining, (*waiting, heavy), True))
     assert told.startswith("no feasible order; with 8 parts left: heavy: weighs 4 kg")
-    assert told.endswith("w4: without it x would fall (stage stability); and 2 more")
+    assert told.endswith("w4: without it x would fall (stage stability); and 2 more: w5 and w6")
+    many = [Hindrance(f"h{k}", Reason("grasp", "weight", "weighs 4 kg")) for k in range(9)]
+    stuck = Hindrance("stuck", Reason("lift", "lift", "it hits lid after 3 mm"))
+    told = str(Infeasible(tuple(f"h{k}" for k in range(9)) + ("stuck",), (*many, stuck), True))
+    assert "10 parts left: h0: weighs 4 kg (stage grasp); stuck: it hits lid after 3 mm (stage lift); h1" in told
+    assert told.endswith("; and 4 more: h5, h6, h7 and h8")
     text = str(Infeasible(("a",), (heavy,), False))
     assert text.startswith("no feasible order found within the budget; with 1 part left: heavy")

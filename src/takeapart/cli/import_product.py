@@ -230,7 +230,7 @@ def _print(found: ImportedProduct, file: Path) -> None:
                     parts[pair.first].name,
                     parts[pair.second].name,
                     f"{1e3 * pair.gap:.3f}",
-                    "?" if math.isnan(pair.depth) else f"{1e3 * pair.depth:.3f}" if pair.depth > SHOWN_DEPTH else "-",
+                    "?" if math.isnan(pair.depth) else f"{1e3 * pair.depth:.2f}" if pair.depth > SHOWN_DEPTH else "-",
                     _finding(found, pair),
                 ]
                 for pair in by_depth

@@ -198,9 +198,10 @@ def _show_workcell(workcell: Workcell, as_json: bool) -> None:
 def explain(assembly: Path, workcell: str, without: tuple[str, ...], attempts: int, seed: int, as_json: bool) -> None:
     """Say for each part of ASSEMBLY whether it can leave now, and otherwise what keeps it.
 
-    A removal is planned in stages: stability (nothing else may fall), lift (5 cm straight up), grasp (free of
-    collisions), ik (in reach), path (to the goal). A part that cannot leave is listed with the stage at which its
-    removal ended and the reason: what is in the way, fixed parts and obstacles too, and by how much.
+    A removal is planned in stages: stability (nothing else may fall), lift (a way out: straight up; from products made
+    of meshes in any direction), grasp (free of collisions), ik (in reach), path (to the goal). A part that cannot leave
+    is listed with the stage at which its removal ended and the reason: what is in the way, fixed parts and obstacles
+    too, and by how much.
     """
     from takeapart.formats.files import load_assembly, load_workcell
     from takeapart.planning import PlanningOptions, build_problem

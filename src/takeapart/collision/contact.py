@@ -6,7 +6,6 @@ the fields do not see. It is the same in all states.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -179,7 +178,7 @@ class Contacts:
             raise InputError(
                 f"parts {first!r} and {second!r} overlap by {1e3 * self.depth(worst[0]):.2f} mm as drawn{more}; at "
                 f"most {1e3 * OVERLAP_LIMIT:g} mm is valid, unless it is meant: import the product with "
-                f"--allow-overlap {shlex.quote(f'{first},{second}')} (allowed_overlaps in the file)",
+                f"--allow-overlap {first},{second} (allowed_overlaps in the file)",
                 f"{self._assembly.name}: parts",
             )
 

@@ -59,8 +59,9 @@ class Infeasible:
         first = "no feasible order" if self.proved else "no feasible order found within the budget"
         if not self.hindrances:
             return f"{first}{'' if self.proved else '; there may be one'}"
-        told = sorted(self.hindrances, key=_is_consequence)
-        more = f"; and {len(told) - TOLD} more" if len(told) > TOLD else ""
+        told = _of_every_cause_first(sorted(self.hindrances, key=_is_consequence))
+        others = [hindrance.part for hindrance in told[TOLD:]]
+        more = f"; and {len(others)} more: {listed(others, TOLD)}" if others else ""
         reasons = "; ".join(str(hindrance) for hindrance in told[:TOLD])
         left = f"{len(self.remaining)} part{'s' if len(self.remaining) != 1 else ''} left"
         named = {hindrance.part for hindrance in self.hindrances}
@@ -103,3 +104,9 @@ def explain(problem: AssemblyProblem, state: int, refusals: Sequence[Blocked] = 
 def _is_consequence(hindrance: Hindrance) -> bool:
     """Whether a part only waits for others, which have reasons of their own."""
     return hindrance.stage == "stability"
+
+
+def _of_every_cause_first(hindrances: Sequence[Hindrance]) -> list[Hindrance]:
+    """The first of each cause before the others: ten parts that are too heavy hide none that hits something."""
+    first = {(each.stage, each.reason.cause): each for each in reversed(hindrances)}
+    return sorted(hindrances, key=lambda each: first[each.stage, each.reason.cause] is not each)

@@ -228,8 +228,12 @@ class Reasons:
         for way in found:
             if way.near and not way.hits and way.direction is not None:
                 name, distance = self._bodies[way.near[0][0]], way.near[0][1]
-                told.append(f"{_direction(way.direction)} it stays within {millimetres(distance)} of {name}")
-        text = f"no straight way out is free: {'; '.join(told[:MOST_DIRECTIONS])}" if told else "no way out is free"
+                kept = f"closer than the clearance of {millimetres(self._workcell.clearance)}"
+                stays = f"stays within {millimetres(distance)} of {name}, {kept}"
+                told.append(f"{_direction(way.direction)} it {stays}")
+        kept = f"nearer than the clearance of {millimetres(self._workcell.clearance)} counts"
+        ways_told = f"{'; '.join(told[:MOST_DIRECTIONS])} ({kept}; what touches as drawn may touch)"
+        text = f"no straight way out is free: {ways_told}" if told else "no way out is free"
         pushes = max((way.pushes for way in found), default=0)
         text += f"; none found in {pushes} pushes" if pushes else ""
         blamed = self._blamed(blocked, [(way.blockers or 0) & self._permanent & present for way in ways])
@@ -247,7 +251,7 @@ class Reasons:
         own = len(hands) - len(masks)
         counts, blamed = self._counts(masks), self._blamed(blocked, masks)
         text = f"the hand hits {counted(counts, len(masks), 'grasps')}" if masks else ""
-        text += _least(blamed, counts, len(masks))
+        text += _least(blamed, counts, len(masks)) + (self._counted_as_hits if masks else "")
         if own:
             text += (
                 f"; in {own} more it hits {ITSELF}" if masks else f"the hand hits {ITSELF} in {in_all(own, 'grasps')}"
@@ -262,19 +266,21 @@ class Reasons:
         T_world_part = self._assembly.parts[part].T_world_part
         centers = np.array([(T_world_part @ hands[k].candidate.T_part_tool)[:3, 3] for k in free])
         distance = float(self.extent.distances(centers).min())
+        moved = "lift" if self._assembly.is_lifted else "move"
         numbers: Numbers = (("grasps", len(free)), ("distance", distance), ("reach", self.extent.length))
         # The inverse kinematics gives other samples where fewer grasps are hindered for good; one of them may be free.
         masks = [mask for k in free for mask in named.reach.in_the_way(part, k, present, work) if mask]
         if masks:
             counts, blamed = self._counts(masks), self._blamed(blocked, masks)
-            text = f"the arm hits {counted(counts, len(masks), 'ways to hold and lift it')}"
-            text += _least(blamed, counts, len(masks))
+            text = f"the arm hits {counted(counts, len(masks), f'ways to hold and {moved} it')}"
+            text += _least(blamed, counts, len(masks)) + self._counted_as_hits
             return Reason("ik", "arm", text, (*numbers, ("ways", len(masks))), tuple(counts), blamed)
         if distance > self.extent.length:
             return Reason("ik", "reach", f"is out of reach: {away(distance, self.extent)}", numbers)
+        way = "lifts it straight up" if self._assembly.is_lifted else "holds it all along a free way out"
         text = (
-            f"no configuration within the joint limits lifts it straight up, in {in_all(len(free), 'free grasps')}; "
-            f"the nearest is {away(distance, self.extent)}"
+            f"no configuration within the joint limits {way}, in {in_all(len(free), 'free grasps')}; the nearest is "
+            f"{away(distance, self.extent)}"
         )
         return Reason("ik", "reach", text, numbers)
 
@@ -289,6 +295,14 @@ class Reasons:
             text += f"; every straight line to it meets {listed(self._names(common))}"
         blamed = self._names(blocked.blamed or common)
         return Reason("path", "path", text, (("grasps", len(reached)), ("straight_line", line)), blamed=blamed)
+
+    @property
+    def _counted_as_hits(self) -> str:
+        """What is said where hand or arm hit something: masks know no distance, and planning keeps one."""
+        clearance = self._workcell.clearance
+        kept = padding(clearance)
+        parts = f"the clearance of {millimetres(clearance)} and {millimetres(kept - clearance)} that planning adds"
+        return f" (nearer than {millimetres(kept)} counts: {parts})"
 
     def _counts(self, masks: Sequence[int]) -> list[tuple[str, int]]:
         """Bodies by how often they are in the way, the most frequent first."""

@@ -40,8 +40,10 @@ def in_all(total: int, things: str) -> str:
 
 
 def millimetres(length: float) -> str:
-    """A length given in m."""
-    return f"{1e3 * length:.4g} mm" if length < 1 else f"{1e3 * length:.0f} mm"
+    """A length given in m, to 0.01 mm, or two digits of less than 0.1 mm."""
+    if length < 1e-4:
+        return f"{1e3 * length:.2g} mm"
+    return f"{round(1e3 * length, 2):.4g} mm" if length < 1 else f"{1e3 * length:.0f} mm"
 
 
 def point(position: Array) -> str:
