@@ -20,6 +20,8 @@ KINDS = {"single": SINGLE, "double": DOUBLE}
 FIXED = {"bottom_front", "bottom_back", "bottom_left", "bottom_right", "carrier_bottom_0", "carrier_bottom_1"}
 FIXED |= {"column_back_left", "column_back_right"}
 LIFT, STEP = 0.05, 0.001  # m
+SEEDS = 60
+MANY = [SEEDS, pytest.param(200, marks=pytest.mark.slow)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +96,10 @@ def accepted(kind: str, count: int) -> tuple[Assembly, ...]:
     return tuple(first_accepted(kind, seed) for seed in range(count))
 
 
+@pytest.mark.parametrize("count", MANY)
 @pytest.mark.parametrize(("kind", "bars", "removable"), [("single", 29, 21), ("double", 38, 30)])
-def test_counts_and_fixed_parts_on_200_seeds(kind: str, bars: int, removable: int) -> None:
-    for assembly in accepted(kind, 200):
+def test_counts_and_fixed_parts(kind: str, bars: int, removable: int, count: int) -> None:
+    for assembly in accepted(kind, count):
         assert len(assembly.parts) == bars
         assert assembly.root.bit_count() == removable
         assert {part.name for part in assembly.parts if part.fixed} == FIXED
@@ -112,7 +115,7 @@ def test_names_say_what_a_part_is(kind: str) -> None:
         expected |= {f"frame_{layer}_{side}" for side in ("front", "back", "left", "right")}
         expected |= {f"back_{layer}_{i}" for i in range(options.back)}
         expected |= {f"front_{layer}_{i}" for i in range(options.front)}
-    found = bodies(accepted(kind, 200)[0])
+    found = bodies(accepted(kind, SEEDS)[0])
     assert set(found) == expected
     assert found["top_front"].centre[0] < found["top_back"].centre[0]  # x to the back
     assert found["top_right"].centre[1] < found["top_left"].centre[1]  # y to the left
@@ -121,7 +124,7 @@ def test_names_say_what_a_part_is(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bars_are_square_long_enough_weighed_and_inside_the_base(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         for part, body in zip(assembly.parts, bodies(assembly).values(), strict=True):
             size = np.sort(body.bar[1] - body.bar[0])
             assert np.allclose(size[:2], 0.02)
@@ -132,14 +135,14 @@ def test_bars_are_square_long_enough_weighed_and_inside_the_base(kind: str) -> N
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_base_fills_the_cuboid(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:20]:
+    for assembly in accepted(kind, SEEDS)[:20]:
         bars = np.array([body.bar for body in bodies(assembly).values()])
         assert np.allclose(bars[:, 0].min(axis=0), 0) and np.allclose(bars[:, 1].max(axis=0), [0.4, 0.4, 0.6])
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_two_bodies_overlap(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         found = list(bodies(assembly).values())
         for i, a in enumerate(found):
             for b in found[i + 1 :]:
@@ -149,7 +152,7 @@ def test_no_two_bodies_overlap(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_bars_keep_the_clearance_to_what_no_connector_joins_them_to(kind: str) -> None:
     base = ("bottom", "top", "column", "frame")
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         found = bodies(assembly)
         joined = {frozenset((connector.host, connector.guest)) for connector in assembly.connectors}
         names = list(found)
@@ -161,7 +164,7 @@ def test_random_bars_keep_the_clearance_to_what_no_connector_joins_them_to(kind:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_connectors_stand_exactly_where_a_short_side_meets_a_long_side(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         found = bodies(assembly)
         assert {(c.host, c.guest) for c in assembly.connectors} == joints(found)
         assert len(assembly.connectors) == len(joints(found))
@@ -175,7 +178,7 @@ def test_connectors_stand_exactly_where_a_short_side_meets_a_long_side(kind: str
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_end_but_those_of_the_outer_squares_is_held(kind: str) -> None:
     free = {"bottom_front", "bottom_back", "top_front", "top_back"}
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         held = [connector.guest for connector in assembly.connectors]
         assert {part.name: held.count(part.name) for part in assembly.parts} == {
             part.name: 0 if part.name in free else 2 for part in assembly.parts
@@ -184,7 +187,7 @@ def test_every_end_but_those_of_the_outer_squares_is_held(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_walls_have_their_slack_and_length(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:30]:
+    for assembly in accepted(kind, SEEDS)[:30]:
         found = bodies(assembly)
         T_world = {part.name: part.T_world_part for part in assembly.parts}
         for connector in assembly.connectors:
@@ -218,7 +221,7 @@ def test_walls_have_their_slack_and_length(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_lifting_leaves_the_own_connectors(kind: str) -> None:
     """A part lifted in small steps never hits its hosts' bodies, except where they lie above a bar along z."""
-    for assembly in accepted(kind, 200)[:30]:
+    for assembly in accepted(kind, SEEDS)[:30]:
         found = bodies(assembly)
         for connector in assembly.connectors:
             guest, host = found[connector.guest], found[connector.host]
@@ -233,7 +236,7 @@ def test_lifting_leaves_the_own_connectors(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_gravity_and_lifting_alone_leave_an_order(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:30]:
+    for assembly in accepted(kind, SEEDS)[:30]:
         found = bodies(assembly)
         left = {part.name for part in assembly.parts if not part.fixed}
         pairs = joints(found)
@@ -255,7 +258,7 @@ def test_gravity_and_lifting_alone_leave_an_order(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_parallel_bars_of_a_level_keep_their_spacing(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         level = [b for b in bodies(assembly).values() if b.axis != 2]
         for i, a in enumerate(level):
             for b in level[i + 1 :]:
@@ -265,7 +268,7 @@ def test_parallel_bars_of_a_level_keep_their_spacing(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_supports_stand_in_their_half_on_carriers(kind: str) -> None:
-    for assembly in accepted(kind, 200)[:60]:
+    for assembly in accepted(kind, SEEDS):
         found = bodies(assembly)
         for i, (low, high) in enumerate(((0.10, 0.20), (0.20, 0.30))):
             support = found[f"support_{i}"]
@@ -278,10 +281,11 @@ def test_supports_stand_in_their_half_on_carriers(kind: str) -> None:
                 assert np.isclose(support.bar[:, 2], face).any() and np.isclose(carrier.bar[:, 2], face).any()
 
 
+@pytest.mark.parametrize("count", MANY)
 @pytest.mark.parametrize("kind", KINDS)
-def test_back_and_front_bars_lie_where_section_iv_a_puts_them(kind: str) -> None:
+def test_back_and_front_bars_lie_where_section_iv_a_puts_them(kind: str, count: int) -> None:
     options = KINDS[kind]
-    for assembly in accepted(kind, 200):
+    for assembly in accepted(kind, count):
         found = bodies(assembly)
         supports = [found[f"support_{i}"].centre[0] for i in range(2)]
         for name, body in found.items():
@@ -299,10 +303,11 @@ def test_back_and_front_bars_lie_where_section_iv_a_puts_them(kind: str) -> None
                 assert upper <= max(supports) + 1e-9
 
 
+@pytest.mark.parametrize("count", MANY)
 @pytest.mark.parametrize("kind", KINDS)
-def test_both_directions_occur_and_layers_with_and_without_a_support(kind: str) -> None:
+def test_both_directions_occur_and_layers_with_and_without_a_support(kind: str, count: int) -> None:
     along_x = along_y = with_support = without = uncut = 0
-    for assembly in accepted(kind, 200):
+    for assembly in accepted(kind, count):
         found = bodies(assembly)
         hosts = {(c.host, c.guest.split("_")[1]) for c in assembly.connectors if c.guest.startswith(("back", "front"))}
         for layer in range(KINDS[kind].layers):
@@ -348,9 +353,10 @@ def test_a_candidate_can_be_made_again_without_those_before_it() -> None:
     assert isinstance(options, dict) and ProfileOptions(**options) == DOUBLE
 
 
-def test_seeds_give_different_assemblies() -> None:
-    layouts = {str(described(assembly)) for assembly in accepted("single", 200)}
-    assert len(layouts) == 200
+@pytest.mark.parametrize("count", MANY)
+def test_seeds_give_different_assemblies(count: int) -> None:
+    layouts = {str(described(assembly)) for assembly in accepted("single", count)}
+    assert len(layouts) == count
 
 
 def test_global_random_state_plays_no_part() -> None:

@@ -41,6 +41,7 @@ SMALL: dict[str, tuple[str, str]] = {
         "benchmarks.md --document",
     ),
     "speed": ("--count 1", "benchmarks.md --write"),
+    "startup": ("--repeats 1", "benchmarks.md --document"),
     "statics_time": ("--count 1", "benchmarks.md --document"),
     "teachers": ("{vanilla} --sets single --count 2 --folds 2 --steps 20", "guide.md --document"),
     "time_limit": ("--seconds 0.5 --blocks 4 --sources single/01", "benchmarks.md --document"),

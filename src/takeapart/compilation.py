@@ -80,7 +80,7 @@ def _group_folder(group: tuple[str, ...]) -> Path:
 # What is below here knows numba from inside: the requirements name the release it belongs to.
 
 
-class _MachineCode(CompileResultCacheImpl):  # type: ignore[misc]
+class _MachineCode(CompileResultCacheImpl):
     """Reads the machine code of a kernel that Python calls without the code for the compiler that stands beside it: ten
     times as quick.
     """
@@ -100,7 +100,7 @@ class _MachineCode(CompileResultCacheImpl):  # type: ignore[misc]
         return found
 
 
-class _KernelCache(FunctionCache):  # type: ignore[misc]
+class _KernelCache(FunctionCache):
     """Reads machine code without making the compiler ready, which takes as long as importing it; it gets itself ready
     before it compiles.
     """
