@@ -1,8 +1,8 @@
 """Small wrong changes of the sources, and whether the tests near them notice: ``make mutants``.
 
 From every area of the sources changes are drawn (`code_changes`). Each is made in a copy of the project, then the tests
-of the area that execute its line run there until the first fails (`mutant_trial`). Where a module holds compiled kernels
-the tests run uncompiled, those that are quick enough that way.
+of the area that execute its line run there until the first fails (`mutant_trial`). Where a module holds compiled
+kernels the tests run uncompiled, those that are quick enough that way.
 
 The fates are a file of the project, `data/mutant_fates.jsonl`, written after every trial: only changes that it does not
 know are tried. It names changes by what the lines read, so a change of the sources asks for trials of the lines that it
@@ -58,7 +58,7 @@ AREAS = {
     "stability": Area(
         26,
         ("stability/*.py", "problem/*.py"),
-        ("carriers", "stability", "statics", "standing", "contact", "problem"),
+        ("carriers", "stability", "statics", "patches", "standing", "contact", "problem"),
     ),
     "verification": Area(
         26,
