@@ -23,7 +23,9 @@ def spikes(tips: Array) -> trimesh.Trimesh:
         cone.fix_normals()
         cone.apply_translation(tip - np.array([0.0, 0.0, -0.002]))
         cones.append(cone)
-    return trimesh.util.concatenate(cones)
+    joined = trimesh.util.concatenate(cones)
+    assert isinstance(joined, trimesh.Trimesh)
+    return joined
 
 
 @pytest.mark.parametrize("plate_first", [True, False])
@@ -73,5 +75,5 @@ def test_how_far_inside_of_its_facet_a_point_is_counts_edges_where_the_surface_b
                     if t != row and {*facets.triangles[row, [k, (k + 1) % 3]]} <= {*triangle}
                 ]
                 if facets.normals[row] @ facets.normals[other] < np.cos(FLAT):
-                    distances.append(np.linalg.norm(np.cross(q - p, point - p)) / np.linalg.norm(q - p))
+                    distances.append(float(np.linalg.norm(np.cross(q - p, point - p)) / np.linalg.norm(q - p)))
             assert inset == pytest.approx(min(distances), abs=1e-9)
