@@ -27,6 +27,7 @@ from coverage import Coverage
 
 LONGEST_TEST = 4.0  # s of the processor, of a test that judges; what takes longer does not take part
 LONGEST_FIXTURE = 60.0  # s of the processor
+LONGEST_MEASURE = 150.0  # s of the processor, of all tests of an area; those of the files named last take no part then
 PATIENCE = 4.0  # a test that takes so many times what it takes without a change, and MORE_PATIENCE, never ends
 MORE_PATIENCE = 4.0  # s of the processor
 ON_THE_WALL = 40.0  # s, as many for every one of the processor
@@ -123,6 +124,8 @@ class Measuring(Judge):
             function = item.nodeid.partition("[")[0]
             if function in too_long:
                 continue  # other cases will take as long
+            if time.process_time() > LONGEST_MEASURE:
+                break
             after = session.items[k + 1] if k + 1 < len(session.items) else None
             with contextlib.suppress(TooLong):
                 item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
