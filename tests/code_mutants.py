@@ -64,8 +64,8 @@ AREAS = {
         26,
         ("verification/*.py",),
         (
-            *("verification_tolerances", "verification_motion", "verification_holes", "verification_support"),
-            *("verification", "verification_meshes", "verification_robots", "carriers"),
+            *("verification_support", "verification_tolerances", "verification_motion", "verification"),
+            *("verification_meshes", "verification_robots", "verification_holes", "carriers"),
         ),
     ),
     "runs": Area(14, ("planning/run*.py",), ("faults",)),

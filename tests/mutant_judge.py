@@ -25,9 +25,9 @@ import hypothesis
 import pytest
 from coverage import Coverage
 
-LONGEST_TEST = 4.0  # s of the processor, of a test that judges; what takes longer does not take part
+LONGEST_TEST = 2.0  # s of the processor, of a test that judges; what takes longer does not take part
 LONGEST_FIXTURE = 60.0  # s of the processor
-LONGEST_MEASURE = 150.0  # s of the processor, of all tests of an area; those of the files named last take no part then
+LONGEST_MEASURE = 60.0  # s of the processor, of all tests of an area; those of the files named last take no part then
 PATIENCE = 4.0  # a test that takes so many times what it takes without a change, and MORE_PATIENCE, never ends
 MORE_PATIENCE = 4.0  # s of the processor
 ON_THE_WALL = 40.0  # s, as many for every one of the processor
