@@ -120,6 +120,7 @@ class Measuring(Judge):
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self.coverage.switch_context("pytest")
         started = time.process_time()
+        session.items[:] = first_cases_first(session.items)
         files = [item.nodeid.partition("::")[0] for item in session.items]
         left, too_long, ends = list(dict.fromkeys(files)), set(), 0.0
         for k, item in enumerate(session.items):
@@ -220,6 +221,17 @@ class Serving(Judge):
             if session.testsfailed:
                 return 1
         return 0
+
+
+def first_cases_first(items: Sequence[pytest.Item]) -> list[pytest.Item]:
+    """File by file the first cases of all functions, then the second ones, and so on."""
+    ordered: defaultdict[str, list[tuple[int, pytest.Item]]] = defaultdict(list)
+    seen: defaultdict[str, int] = defaultdict(int)
+    for item in items:
+        file, function = item.nodeid.partition("::")[0], item.nodeid.partition("[")[0]
+        ordered[file].append((seen[function], item))
+        seen[function] += 1
+    return [item for cases in ordered.values() for _, item in sorted(cases, key=lambda case: case[0])]
 
 
 def put_in(file: str, original: str, changed: str) -> bool:
