@@ -147,8 +147,13 @@ def sample_of(areas: Sequence[str], count: int, seed: int, kept: Path) -> list[M
     ]
 
 
-def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> None:
-    """Tries one mutant after the other; every fate is written to the log as soon as it is known."""
+def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float, longer: bool = False) -> None:
+    """Tries one mutant after the other; every fate is written to the log as soon as it is known.
+
+    Args:
+        minutes: after these no other is begun.
+        longer: tests that take long judge too, where their file names the module.
+    """
     started = time.monotonic()
     compiled = {mutant: not is_compiled(PACKAGE / mutant.module) for mutant in mutants}
     ways = dict.fromkeys((mutant.area, compiled[mutant]) for mutant in mutants)
@@ -162,7 +167,7 @@ def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> 
                 print("time is over; the next call goes on", flush=True)
                 bench.close()
                 return
-            fate = tried(tree, bench, judges, mutant)
+            fate = tried(tree, bench, judges, mutant, longer)
             write_log(log, {**read_log(log), mutant.key: (mutant.area, fate)})
             print(f"{fate.outcome}: {mutant.module}:{mutant.line} ({fate.tests} tests) {fate.noticed}", flush=True)
             if fate.outcome == "survived":
@@ -170,13 +175,15 @@ def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> 
         bench.close()
 
 
-def tried(tree: Tree, bench: Bench, judges: Judges, mutant: Mutant) -> Fate:
+def tried(tree: Tree, bench: Bench, judges: Judges, mutant: Mutant, longer: bool) -> Fate:
     """Tries one mutant."""
     source = tree.source(mutant.module)
     changed = mutated(mutant, source)
     if changed is None:
         raise AssertionError(f"{mutant.key}: no such change")
     tests = judges.of(mutant.module, source, mutant.line)
+    if longer:
+        tests += bench.unmeasured(mutant.module)
     at_import = judges.at_import(mutant.module, source, mutant.line)
     outcome, noticed = bench.trial(mutant.module, changed, tests, at_import)
     return Fate(outcome, len(tests), noticed.removeprefix("tests/"))
@@ -244,7 +251,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--work", type=Path, default=ROOT / "out" / "mutants", help="folder for the copy")
     parser.add_argument("--log", type=Path, default=FATES, help="file of the fates")
     parser.add_argument("--again", action="store_true", help="try also what the log knows")
-    parser.add_argument("--survivors", action="store_true", help="try again what survived, by the log")
+    parser.add_argument("--survivors", action="store_true", help="try again, by long tests too, what survived")
     parser.add_argument("--from-log", action="store_true", help="no tests, only the tables")
     parser.add_argument("--document", type=Path, help="file whose tables are replaced")
     options = parser.parse_args(arguments)
@@ -256,7 +263,7 @@ def main(arguments: Sequence[str]) -> int:
         if options.survivors:
             survived = [m for m in sample if m.key in known and known[m.key][1].outcome == "survived"]
             chosen = [m for m in survived if m.key not in reasons]
-        judged(Tree(options.work / "tree"), chosen, options.log, options.minutes)
+        judged(Tree(options.work / "tree"), chosen, options.log, options.minutes, options.survivors)
         known = read_log(options.log)
     tables, share = markdown({m: known[m.key][1] for m in sample if m.key in known}, sample, reasons)
     print(tables)

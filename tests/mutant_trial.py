@@ -15,6 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST_TRIAL = 12.0  # s of the processor, of all tests of one change as they take without it
+LONGEST_SECOND_LOOK = 60.0  # s of the processor, of all tests of a change that survived, and their fixtures
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,9 @@ class Judges:
         return "" in self._executing(module, source, line)
 
     def allowed(self, name: str) -> float:
-        """Seconds of the processor that a test takes together with its fixtures."""
+        """Seconds of the processor that a test takes together with its fixtures; much where it was not measured."""
+        if name not in self.seconds:
+            return LONGEST_SECOND_LOOK
         return self.seconds[name] + sum(self.fixture_seconds.get(fixture, 0.0) for fixture in self.fixtures[name])
 
     def _executing(self, module: str, source: str, line: int) -> set[str]:
@@ -154,6 +157,17 @@ class Bench:
         self.proven: dict[str, bool] = {}
         self.serving: subprocess.Popen[str] | None = None
 
+    def unmeasured(self, module: str) -> list[str]:
+        """Tests, too long or too many to be measured, of the files that name a module."""
+        stem = module.removesuffix(".py").replace("/", ".")
+        named = [
+            file
+            for file in self.files
+            if any(name in (self.tree.folder / file).read_text(encoding="utf-8") for name in (stem, _imported(stem)))
+        ]
+        names = self._answer(self._server(), "names")
+        return [name for name in names if name not in self.judges.seconds and name.partition("::")[0] in named]
+
     def trial(self, module: str, changed: str, tests: Sequence[str], at_import: bool) -> tuple[str, str]:
         """Outcome of a change, "killed", "timeout" or "survived", and the test that noticed it."""
         chosen = [name for name in tests if self.proven.get(name, True)]
@@ -172,12 +186,11 @@ class Bench:
     def _outcome(self, module: str, changed: str, tests: Sequence[str], at_import: bool) -> tuple[str, str]:
         path, original = self.tree._path(module), self.tree.source(module)
         times = path.stat()
-        if self.serving is None:
-            self.serving = self._start()
+        serving = self._server()
         path.write_text(changed, encoding="utf-8")
         try:
             if not at_import:
-                outcome, test = self._ask(self.serving, tests, str(path), original, changed)
+                outcome, test = self._ask(serving, tests, str(path), original, changed)
                 if outcome != "not put in":
                     return outcome, test
             own = self.tree.process(["serve", "--", *self.files], self.compiled, kept=False)
@@ -194,16 +207,16 @@ class Bench:
 
     def _passes_alone(self, test: str) -> bool:
         if test not in self.proven:
-            assert self.serving is not None
-            self.proven[test] = self._ask(self.serving, [test])[0] == "survived"
+            self.proven[test] = self._ask(self._server(), [test])[0] == "survived"
         return self.proven[test]
 
-    def _start(self) -> subprocess.Popen[str]:
-        process = self.tree.process(["serve", "--", *self.files], self.compiled)
-        assert process.stdout is not None
-        if not process.stdout.readline():
-            raise AssertionError(f"tests of {', '.join(self.files)} cannot be collected")
-        return process
+    def _server(self) -> subprocess.Popen[str]:
+        if self.serving is None:
+            self.serving = self.tree.process(["serve", "--", *self.files], self.compiled)
+            assert self.serving.stdout is not None
+            if not self.serving.stdout.readline():
+                raise AssertionError(f"tests of {', '.join(self.files)} cannot be collected")
+        return self.serving
 
     def _ask(
         self,
@@ -213,10 +226,20 @@ class Bench:
         original: str = "",
         changed: str = "",
     ) -> tuple[str, str]:
-        assert process.stdin is not None and process.stdout is not None
         timed = [(name, self.judges.allowed(name)) for name in tests]
-        order = {"tests": timed, "file": file, "original": original, "changed": changed}
+        order = {"tests": timed, "file": file, "original": original, "changed": changed, "seconds": LONGEST_SECOND_LOOK}
+        outcome, test = self._answer(process, order)
+        return outcome, test
+
+    def _answer(self, process: subprocess.Popen[str], order: object) -> list[str]:
+        assert process.stdin is not None and process.stdout is not None
         process.stdin.write(json.dumps(order) + "\n")
         process.stdin.flush()
-        outcome, test = json.loads(process.stdout.readline())
-        return outcome, test
+        answer: list[str] = json.loads(process.stdout.readline())
+        return answer
+
+
+def _imported(stem: str) -> str:
+    """How a module is imported by the name of its package."""
+    package, _, name = stem.rpartition(".")
+    return f"from takeapart.{package} import {name}"
