@@ -16,7 +16,13 @@ from order_search_cases import (
     mutually_blocked,
     never_leaving,
 )
-from synthetic import InterruptedProblem, SyntheticProblem, exact_guide, problem_with_dead_ends, random_problem
+from synthetic import (
+    InterruptedProblem,
+    SyntheticProblem,
+    exact_guide,
+    problem_with_dead_ends,
+    random_problem,
+)
 from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked
