@@ -75,8 +75,10 @@ AREAS = {
         ("deepest", "lattice", "mcts", "baselines", "exact", "best_first", "refinement", "registry", "determinism"),
         ("lattice", "exact", "refinement"),
     ),
-    "collision": Area(26, ("collision/*.py",), ("fields", "exits", "kept"), ("fields", "contact", "exits")),
-    "motion": Area(26, ("motion/*.py",), (), ("motion_proofs", "motion")),
+    "collision": Area(
+        26, ("collision/*.py",), ("collision_kernels", "fields", "exits", "kept"), ("collision_kernels", "fields")
+    ),
+    "motion": Area(26, ("motion/*.py",), (), ("motion", "motion_proofs")),
     "kernels": Area(
         26,
         ("robot/*.py",),
@@ -259,7 +261,7 @@ def main(arguments: Sequence[str]) -> int:
     sample = sample_of(options.areas, options.mutants, options.seed, options.work)
     known, reasons = read_log(options.log), read_reasons()
     if not options.from_log:
-        chosen = [m for m in sample if options.again or m.key not in known]
+        chosen = [m for m in sample if options.again or m.key not in known or not known[m.key][1].tests]
         if options.survivors:
             survived = [m for m in sample if m.key in known and known[m.key][1].outcome == "survived"]
             chosen = [m for m in survived if m.key not in reasons]

@@ -25,9 +25,9 @@ import hypothesis
 import pytest
 from coverage import Coverage
 
-LONGEST_TEST = 2.0  # s of the processor, of a test that judges; what takes longer does not take part
-LONGEST_FIXTURE = 60.0  # s of the processor
-LONGEST_MEASURE = 25.0  # s of the processor, of all tests of an area; files share it, and what they leave over
+LONGEST_TEST = 4.0  # s of the processor, of a test that judges; what takes longer does not take part
+LONGEST_FIXTURE = 6.0  # s of the processor
+LONGEST_MEASURE = 90.0  # s of the processor, of all tests of an area; files share it, and what they leave over
 PATIENCE = 4.0  # a test that takes so many times what it takes without a change, and MORE_PATIENCE, never ends
 MORE_PATIENCE = 4.0  # s of the processor
 ON_THE_WALL = 40.0  # s, as many for every one of the processor
@@ -77,6 +77,7 @@ class Measuring(Judge):
         self.fixtures: dict[str, list[str]] = {}
         self.seconds: dict[str, float] = {}
         self.fixture_seconds: dict[str, float] = {}
+        self.endless: set[str] = set()
         self.outcomes: defaultdict[str, list[str]] = defaultdict(list)
         self.coverage.start()
 
@@ -96,6 +97,9 @@ class Measuring(Judge):
         try:
             with self._executing(f"fixture {fixturedef.argname}"):
                 return (yield)
+        except TooLong:
+            self.endless.add(fixturedef.argname)
+            raise
         finally:
             seconds = time.process_time() - started
             self.fixture_seconds[fixturedef.argname] = max(seconds, self.fixture_seconds.get(fixturedef.argname, 0.0))
@@ -129,7 +133,7 @@ class Measuring(Judge):
             if files[k] in left:
                 ends = used + (LONGEST_MEASURE - used) / len(left)
                 left.remove(files[k])
-            if used > ends or function in too_long:
+            if used > ends or function in too_long or self.endless & set(getattr(item, "fixturenames", [])):
                 continue  # other cases of a long test will take as long
             session._setupstate.teardown_exact(item)  # what the tests left out would have torn down
             after = session.items[k + 1] if k + 1 < len(session.items) else None
