@@ -89,6 +89,7 @@ AREAS = {
         36,
         ("removal/*.py",),
         (
+            "ways",
             "bounds",
             "exits",
             "placement",

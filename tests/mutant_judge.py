@@ -27,7 +27,7 @@ from coverage import Coverage
 
 LONGEST_TEST = 4.0  # s of the processor, of a test that judges; what takes longer does not take part
 LONGEST_FIXTURE = 6.0  # s of the processor
-LONGEST_MEASURE = 90.0  # s of the processor, of all tests of an area; files share it, and what they leave over
+LONGEST_MEASURE = 45.0  # s of the processor, of all tests of an area; files share it, and what they leave over
 PATIENCE = 4.0  # a test that takes so many times what it takes without a change, and MORE_PATIENCE, never ends
 MORE_PATIENCE = 4.0  # s of the processor
 ON_THE_WALL = 40.0  # s, as many for every one of the processor

@@ -10,13 +10,16 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.transform import Rotation
 
 from takeapart.collision import grids
 from takeapart.collision.bounds import overlaps_along
 from takeapart.collision.contact import NEAR, Body, _least_distance
 from takeapart.collision.fields import Field, mesh_field, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, cloud_hit, points_below
+from takeapart.collision.parting import nearer_than, parted_after
 from takeapart.collision.points import IN_LEAF, Cloud, cloud_of
+from takeapart.collision.screws import Screw
 from takeapart.collision.sweep import LEAST_STEP
 from takeapart.collision.triangles import distances, triangle_tree
 from takeapart.model.geometry import Array, TriangleMesh, pose
@@ -151,7 +154,8 @@ def test_bounds_pass_each_other_from_where_to_where_single_steps_say() -> None:
 
 
 def test_points_all_over_a_surface_hold_every_corner_and_leave_no_place_alone() -> None:
-    for mesh in bodies():
+    rod = trimesh.creation.cylinder(0.001, 0.004, sections=40)  # corners nearer to each other than points need be
+    for mesh in (*bodies(), rod):
         corners = np.array(mesh.triangles)
         for spacing in (0.0004, 0.01):
             points = surface_points(surface(mesh), spacing)
@@ -266,3 +270,58 @@ def test_the_least_distance_of_two_bodies_is_exact_or_that_of_pairs_no_longer_to
     cloud = cloud_of(surface(spike), mesh_field(surface(spike)), 0.001)
     T = pose((3e-4, -2e-4, 0.002 + gap - tip))
     assert _least_distance(body, cloud, T) == pytest.approx(min(gap, NEAR), abs=1e-9)
+
+
+def test_bodies_have_parted_where_single_steps_say() -> None:
+    first, second, _ = bodies()
+    field = mesh_field(surface(first))
+    points = surface_points(surface(second), 0.002)
+    rng = np.random.default_rng(7)
+    for k in range(6):
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        start, apart = (0.0, 0.002)[k % 2], (5e-4, 1.2e-3, 0.0)[k % 3]
+        moved = np.ascontiguousarray(points + rng.uniform(-0.001, 0.001, 3))
+        steps = np.arange(start, 0.03, 1e-4)
+        least = np.array([signed_distances(field, moved + s * direction).min() for s in steps])
+        expected = steps[least >= apart][0]
+        found = parted_after(field, moved, direction, start, apart, 0.03)
+        assert expected - 1e-4 <= found <= expected + 1e-4 + LEAST_STEP
+        assert math.isinf(parted_after(field, moved, direction, start, apart, expected - 1e-3))
+        T = pose((expected + 1e-3) * direction)
+        nearest = signed_distances(field, np.ascontiguousarray(moved + T[:3, 3])).min()
+        assert nearer_than(field, moved, T, nearest + 1e-9) and not nearer_than(field, moved, T, nearest - 1e-9)
+
+
+def test_a_screw_meets_what_single_poses_of_it_meet() -> None:
+    first, second, _ = bodies()
+    field = mesh_field(surface(first))
+    points = surface_points(surface(second), 0.002)
+    rng = np.random.default_rng(8)
+    met = 0
+    for k in range(9):
+        axis, center = rng.normal(size=3), rng.uniform(-0.01, 0.01, 3)
+        axis /= np.linalg.norm(axis)
+        screw = Screw((0.002 * axis, np.zeros(3), -0.02 * axis)[k % 3], (2.0, -1.5, 0.0)[k % 3], axis, center)
+        shift = rng.normal(size=3)
+        shift *= 0.009 / np.linalg.norm(shift)
+        if k % 3 == 2:
+            shift = 0.01 * axis + rng.uniform(-0.002, 0.002, 3)
+        moved = np.ascontiguousarray(points + shift)
+        expected = 1.0
+        for s in np.arange(0.0, 1.0, 0.004):
+            T = screw.pose(s)
+            if (signed_distances(field, np.ascontiguousarray(moved @ T[:3, :3].T + T[:3, 3])) < -1e-4).any():
+                expected = s
+                break
+        found = screw.travel(field, moved, 1.0, -1e-4)
+        assert found == pytest.approx(expected, abs=0.03)
+        assert (found < 1.0) == (expected < 1.0)
+        met += found < 1.0
+        T, back = screw.pose(0.7), screw.backwards().pose(0.7)
+        assert np.allclose(T @ back, np.eye(4), atol=1e-12)
+        assert np.allclose(T[:3, :3] @ axis, axis), "its axis stays"
+        turned = Rotation.from_rotvec(0.7 * screw.turn * axis).as_matrix()
+        assert np.allclose(T[:3, :3], turned)
+        assert np.allclose(T[:3, :3] @ center + T[:3, 3], center + 0.7 * screw.along)
+    assert 2 < met < 9
