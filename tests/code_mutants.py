@@ -220,8 +220,9 @@ def markdown(fates: dict[Mutant, Fate], sample: Sequence[Mutant], reasons: dict[
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
     survivors = []
     for mutant, fate in fates.items():
-        reason = reasons.get(mutant.key, "gap") if fate.outcome == "survived" else ""
-        kind = fate.outcome if not reason else "gap" if reason == "gap" else "harmless"
+        open_end = "gap" if fate.tests else "no quick test"
+        reason = reasons.get(mutant.key, open_end) if fate.outcome == "survived" else ""
+        kind = fate.outcome if not reason else reason if reason == open_end else "harmless"
         for name in (mutant.area, "all"):
             counts[name][kind] += 1
         if reason:
@@ -231,12 +232,14 @@ def markdown(fates: dict[Mutant, Fate], sample: Sequence[Mutant], reasons: dict[
     for name in [*AREAS, "all"]:
         found = counts[name]
         noticed = found["killed"] + found["timeout"]
-        share = noticed / max(noticed + found["gap"], 1)
+        missed = found["gap"] + found["no quick test"]
+        share = noticed / max(noticed + missed, 1)
         asked = sum(mutant.area == name or name == "all" for mutant in sample)
-        numbers = [asked, found.total(), found["killed"], found["timeout"], found["harmless"], found["gap"]]
-        rows.append([name, *map(str, numbers), f"{100 * share:.0f} %" if noticed + found["gap"] else "-"])
+        numbers = [asked, found.total(), found["killed"], found["timeout"], found["harmless"]]
+        numbers += [found["gap"], found["no quick test"]]
+        rows.append([name, *map(str, numbers), f"{100 * share:.0f} %" if noticed + missed else "-"])
     head = ["area", "drawn", "tried", "test failed", "never ended", "harmless", "not noticed"]
-    head.append("noticed of those that matter")
+    head += ["no quick test", "noticed of those that matter"]
     cells = [[cell.replace("|", "\\|") for cell in row] for row in survivors]
     percent = 100 * len(fates) / max(len(sample), 1)
     tried = f"{len(fates)} of the {len(sample)} changes drawn were tried ({percent:.0f} %)."
