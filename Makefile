@@ -57,7 +57,7 @@ paper-quick: $(READY)  ## the same in small, within minutes; writes out/paper-qu
 mutations: $(READY)  ## corrupt plans and see them refused; table of docs/reliability.md
 	$(BIN)/python tests/mutation_table.py --document docs/reliability.md
 
-mutants: kernels  ## 210 small wrong changes of the sources, and whether the tests notice; hours; table of docs/reliability.md
+mutants: kernels  ## small wrong changes of the sources that were not tried yet, and whether the tests notice; table of docs/reliability.md
 	$(BIN)/python tests/code_mutants.py --document docs/reliability.md
 
 fuzz: $(READY)  ## 100,000 broken files for the readers, and more where atheris is installed; table of docs/reliability.md

@@ -1,12 +1,12 @@
 """Small wrong changes of the sources, and whether the tests near them notice: ``make mutants``.
 
-Cosmic Ray knows what can be changed in a line of Python; here is drawn what is changed, and by which tests it is
-judged. From every area of the sources the same number of places is drawn, and for every place one of the possible
-changes, but none that only puts an operator on bits into arithmetic, which any test would notice. A change is made in a
-copy of the project, then the tests of the area that execute its line run there until the first fails (`mutant_trial`).
-Where a module holds compiled kernels the tests run uncompiled, those that are quick enough that way.
+From every area of the sources changes are drawn (`code_changes`). Each is made in a copy of the project, then the tests
+of the area that execute its line run there until the first fails (`mutant_trial`). Where a module holds compiled
+kernels the tests run uncompiled, those that are quick enough that way.
 
-Every fate is kept in a log at once: a run that was cut off, or given few minutes, goes on where it was.
+The fates are a file of the project, `data/mutant_fates.jsonl`, written after every trial: only changes that it does not
+know are tried. It names changes by what the lines read, so a change of the sources asks for trials of the lines that it
+touches, and a fate stays as it is where only lines around it change; ``--again`` tries all.
 
 A change that no test notices is a survivor. Some survivors do the same as before, or differ only in a message or in
 speed: `data/surviving_mutants.toml` says which and why. All others count against the tests.
@@ -15,32 +15,25 @@ speed: `data/surviving_mutants.toml` says which and why. All others count agains
 from __future__ import annotations
 
 import argparse
-import ast
-import difflib
-import hashlib
 import json
 import math
 import sys
 import time
 import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator, operator_names
-
-from mutant_trial import Judges, Tree
+from code_changes import PACKAGE, Mutant, drawn, mutated
+from mutant_trial import Bench, Judges, Tree
 from takeapart.experiments.tables import markdown_table, replace_between_markers
+from takeapart.formats.documents import write_atomically
 
 ROOT = Path(__file__).resolve().parents[1]
+FATES = ROOT / "tests" / "data" / "mutant_fates.jsonl"
 REASONS = ROOT / "tests" / "data" / "surviving_mutants.toml"
 MARKER = "mutants"
-ARITHMETIC = ("Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow")
-BITWISE = ("RShift", "LShift", "BitOr", "BitAnd", "BitXor")
 HARMLESS = ("equivalent", "message", "speed", "tuning")  # what a reason may begin with
 
 
@@ -49,64 +42,67 @@ class Area:
     """Modules that the same tests judge.
 
     Args:
+        share: how many changes are drawn of each 210.
         modules: patterns below src/takeapart.
         tests: names of test files.
         uncompiled: those of modules with compiled kernels, which run as plain Python then.
     """
 
+    share: int
     modules: tuple[str, ...]
     tests: tuple[str, ...]
     uncompiled: tuple[str, ...] = ()
 
 
-SEARCHES = ("lattice", "mcts", "baselines", "exact", "best_first", "refinement", "order_search", "determinism")
 AREAS = {
+    "stability": Area(
+        26,
+        ("stability/*.py", "problem/*.py"),
+        ("carriers", "stability", "statics", "patches", "standing", "contact", "problem"),
+    ),
     "verification": Area(
+        26,
         ("verification/*.py",),
         (
-            *("verification_tolerances", "verification_motion", "verification_holes", "verification"),
-            *("carriers", "carrying"),
+            *("verification_support", "verification_tolerances", "verification_motion", "verification"),
+            *("verification_meshes", "verification_robots", "verification_holes", "carriers"),
         ),
     ),
-    "motion": Area(("motion/*.py",), (), ("motion_proofs", "motion")),
+    "runs": Area(14, ("planning/run*.py",), ("faults",)),
+    "search": Area(
+        30,
+        ("search/*.py",),
+        ("deepest", "lattice", "mcts", "baselines", "exact", "best_first", "refinement", "registry", "determinism"),
+        ("lattice", "exact", "refinement"),
+    ),
+    "collision": Area(
+        26, ("collision/*.py",), ("collision_kernels", "fields", "exits", "kept"), ("collision_kernels", "fields")
+    ),
+    "motion": Area(26, ("motion/*.py",), (), ("motion", "motion_proofs")),
     "kernels": Area(
+        26,
         ("robot/*.py",),
-        ("motion_proofs", "self_collision", "robot", "kernels", "removal"),
-        ("motion_proofs", "self_collision", "robot", "kernels"),
+        ("robot", "covering_few", "self_collision", "separation", "urdf", "describing", "kept"),
+        ("kernels", "robot", "self_collision", "separation", "motion_proofs"),
     ),
-    "removal": Area(("removal/*.py",), ("bounds", "carrying", "removal", "planning")),
-    "search": Area(("search/*.py",), SEARCHES, SEARCHES),
-    "stability": Area(
-        ("stability/connectors.py", "problem/*.py"), ("carriers", "stability", "carrying", "problem", "planning")
+    "removal": Area(
+        36,
+        ("removal/*.py",),
+        (
+            "ways",
+            "bounds",
+            "exits",
+            "placement",
+            "exit_masks",
+            "removal",
+            "reasons",
+            "carrying",
+            "mesh_grasps",
+            "straight_line",
+        ),
+        ("exits", "fields"),
     ),
-    "runs": Area(("planning/run*.py",), ("faults",)),
 }
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """One small change.
-
-    Args:
-        area: name in AREAS.
-        module: path below src/takeapart.
-        line: of the change, from 1.
-        operator, occurrence: as Cosmic Ray counts them.
-        before, after: the changed line.
-    """
-
-    area: str
-    module: str
-    line: int
-    operator: str
-    occurrence: int
-    before: str
-    after: str
-
-    @property
-    def key(self) -> str:
-        """Names the change in the file of reasons; no line numbers, which move."""
-        return f"{self.module}: {self.before} -> {self.after}"
 
 
 @dataclass(frozen=True)
@@ -115,213 +111,171 @@ class Fate:
 
     Args:
         outcome: "killed", "timeout" or "survived".
-        tests: that were to judge it.
+        tests: how many were to judge it.
+        noticed: the test that did.
     """
 
-    mutant: Mutant
     outcome: str
     tests: int
+    noticed: str
 
 
 def modules_of(area: Area) -> list[Path]:
-    package = ROOT / "src" / "takeapart"
-    return sorted(path for pattern in area.modules for path in package.glob(pattern) if path.name != "__init__.py")
+    return sorted(path for pattern in area.modules for path in PACKAGE.glob(pattern) if path.name != "__init__.py")
 
 
 def tests_of(area: Area, compiled: bool) -> list[str]:
+    """Files of tests.
+
+    Raises:
+        AssertionError: one does not exist.
+    """
     files = [f"tests/test_{name}.py" for name in (area.tests if compiled else area.uncompiled)]
-    return [file for file in files if (ROOT / file).is_file()]
+    for file in files:
+        assert (ROOT / file).is_file(), f"there is no {file}"
+    return files
 
 
 def is_compiled(module: Path) -> bool:
     return b"@compiled" in module.read_bytes()
 
 
-def uninteresting_lines(source: str) -> set[int]:
-    """Lines whose change shows nowhere: annotations, and decorators that only make things faster."""
-    found: set[int] = set()
-    for node in ast.walk(ast.parse(source)):
-        for note in (getattr(node, "annotation", None), getattr(node, "returns", None)):
-            if isinstance(note, ast.expr) and not (isinstance(node, ast.AnnAssign) and node.value is not None):
-                found.update(range(note.lineno, (note.end_lineno or note.lineno) + 1))
-    for number, text in enumerate(source.splitlines(), 1):
-        if text.strip().startswith(("@compiled", "@cache", "@lru_cache")):
-            found.add(number)
-    return found
+def sample_of(areas: Sequence[str], count: int, seed: int, kept: Path) -> list[Mutant]:
+    """The changes that are drawn, area by area."""
+    whole = sum(area.share for area in AREAS.values())
+    return [
+        mutant
+        for name in areas
+        for mutant in drawn(name, modules_of(AREAS[name]), math.ceil(AREAS[name].share * count / whole), seed, kept)
+    ]
 
 
-def possible(area: str, module: Path) -> Iterator[list[Mutant]]:
-    """Per place of a module the changes that can be made there."""
-    source = module.read_text(encoding="utf-8")
-    lines, skipped = source.splitlines(), uninteresting_lines(source)
-    places: defaultdict[tuple[object, ...], list[tuple[str, int]]] = defaultdict(list)
-    nodes = list(ast_nodes(get_ast(source)))
-    for name in operator_names():
-        if "BinaryOperator" in name and name.split("_")[1] in ARITHMETIC and name.split("_")[2] in BITWISE:
-            continue
-        try:
-            operator = get_operator(name)()
-        except TypeError:
-            continue  # needs names of variables
-        occurrence = 0
-        for node in nodes:
-            for position in operator.mutation_positions(node):
-                if position[0][0] not in skipped:
-                    places[tuple(position)].append((name, occurrence))
-                occurrence += 1
-    relative = str(module.relative_to(ROOT / "src" / "takeapart"))
-    for place, changes in sorted(places.items(), key=str):
-        line = place[0][0]  # type: ignore[index]
-        yield [Mutant(area, relative, line, name, number, lines[line - 1].strip(), "") for name, number in changes]
+def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float, longer: bool = False) -> None:
+    """Tries one mutant after the other; every fate is written to the log as soon as it is known.
 
-
-def mutated(mutant: Mutant, source: str) -> str | None:
-    """The changed source; None where it would not be another program."""
-    changed = mutate_code(source, get_operator(mutant.operator)(), mutant.occurrence)
-    if changed is None or changed == source:
-        return None
-    try:
-        same = ast.dump(ast.parse(changed)) == ast.dump(ast.parse(source))
-    except SyntaxError:
-        return None
-    return None if same else changed
-
-
-def drawn(area: str, count: int, seed: int) -> list[Mutant]:
-    """Changes at different places of an area, in the order in which they were drawn."""
-    rng = np.random.default_rng([seed, list(AREAS).index(area)])
-    places = [place for module in modules_of(AREAS[area]) for place in possible(area, module)]
-    found: list[Mutant] = []
-    for k in rng.permutation(len(places)):
-        choice = places[k][int(rng.integers(len(places[k])))]
-        source = (ROOT / "src" / "takeapart" / choice.module).read_text(encoding="utf-8")
-        changed = mutated(choice, source)
-        if changed is None:
-            continue
-        added = [row[1:] for row in difflib.ndiff(source.splitlines(), changed.splitlines()) if row.startswith("+ ")]
-        removed = [row[1:] for row in difflib.ndiff(source.splitlines(), changed.splitlines()) if row.startswith("- ")]
-        before, after = (" ".join(" ".join(rows).split()) for rows in (removed, added))
-        found.append(Mutant(**{**asdict(choice), "before": before, "after": after or "nothing"}))
-        if len(found) == count:
-            break
-    return found
-
-
-def judged(tree: Tree, mutants: Sequence[Mutant], log: Path, minutes: float) -> None:
-    """Tries one mutant after the other; every fate is written to the log as soon as it is known."""
+    Args:
+        minutes: after these no other is begun.
+        longer: tests that take long judge too, where their file names the module.
+    """
     started = time.monotonic()
-    known: dict[tuple[str, bool], Judges] = {}
-    with log.open("a", encoding="utf-8") as file:
-        for number, mutant in enumerate(mutants, 1):
+    compiled = {mutant: not is_compiled(PACKAGE / mutant.module) for mutant in mutants}
+    ways = dict.fromkeys((mutant.area, compiled[mutant]) for mutant in mutants)
+    for area, way in ways:
+        files, patterns = tests_of(AREAS[area], way), AREAS[area].modules
+        judges = tree.judges(files, patterns, way, tree.folder.parent)
+        print(f"{area}, {'compiled' if way else 'uncompiled'}: {len(judges.seconds)} tests", flush=True)
+        bench = Bench(tree, files, judges, way)
+        for mutant in [each for each in mutants if (each.area, compiled[each]) == (area, way)]:
             if time.monotonic() - started > 60 * minutes:
-                print(f"time is over; {len(mutants) - number + 1} are left for the next call", flush=True)
+                print("time is over; the next call goes on", flush=True)
+                bench.close()
                 return
-            compiled = not is_compiled(ROOT / "src" / "takeapart" / mutant.module)
-            if (mutant.area, compiled) not in known:
-                found = known[mutant.area, compiled] = tree.judges(
-                    tests_of(AREAS[mutant.area], compiled), AREAS[mutant.area].modules, compiled, log.parent
-                )
-                way = "compiled" if compiled else "uncompiled"
-                print(f"{mutant.area}, {way}: {len(found.seconds)} test functions", flush=True)
-            judges = known[mutant.area, compiled]
-            source = tree.source(mutant.module)
-            changed = mutated(mutant, source)
-            if changed is None:
-                raise AssertionError(f"{mutant.key}: no such change")
-            tests = judges.of(mutant.module, source, mutant.line)
-            outcome = tree.trial(mutant.module, changed, tests, judges, compiled) if tests else "survived"
-            file.write(json.dumps({**asdict(mutant), "outcome": outcome, "tests": len(tests)}) + "\n")
-            file.flush()
-            print(f"{number}/{len(mutants)} {outcome}: {mutant.module}:{mutant.line} ({len(tests)} tests)", flush=True)
-            if outcome == "survived":
+            fate = tried(tree, bench, judges, mutant, longer)
+            write_log(log, {**read_log(log), mutant.key: (mutant.area, fate)})
+            print(f"{fate.outcome}: {mutant.module}:{mutant.line} ({fate.tests} tests) {fate.noticed}", flush=True)
+            if fate.outcome == "survived":
                 print(f"    {mutant.before}\n    {mutant.after}", flush=True)
+        bench.close()
 
 
-def sample_of(area: str, count: int, seed: int, kept: Path) -> list[Mutant]:
-    """As `drawn`, which takes a while; the answer is kept for as long as the sources do not change."""
-    digest = hashlib.sha256(f"{area} {count} {seed}".encode())
-    for module in modules_of(AREAS[area]):
-        digest.update(module.read_bytes())
-    file = kept / f"sample-{digest.hexdigest()[:16]}.json"
-    if not file.is_file():
-        file.write_text(json.dumps([asdict(mutant) for mutant in drawn(area, count, seed)]), encoding="utf-8")
-    return [Mutant(**values) for values in json.loads(file.read_text(encoding="utf-8"))]
+def tried(tree: Tree, bench: Bench, judges: Judges, mutant: Mutant, longer: bool) -> Fate:
+    """Tries one mutant."""
+    source = tree.source(mutant.module)
+    changed = mutated(mutant, source)
+    if changed is None:
+        raise AssertionError(f"{mutant.key}: no such change")
+    tests = judges.of(mutant.module, source, mutant.line)
+    if longer:
+        tests += bench.unmeasured(mutant.module)
+    at_import = judges.at_import(mutant.module, source, mutant.line)
+    outcome, noticed = bench.trial(mutant.module, changed, tests, at_import)
+    return Fate(outcome, len(tests), noticed.removeprefix("tests/"))
 
 
-def read_log(log: Path) -> dict[str, Fate]:
-    """The latest fate of every mutant, by its key."""
-    found = {}
-    for row in log.read_text(encoding="utf-8").splitlines() if log.is_file() else []:
-        values = json.loads(row)
-        mutant = Mutant(**{each.name: values[each.name] for each in fields(Mutant)})
-        found[mutant.key] = Fate(mutant, values["outcome"], values["tests"])
-    return found
+def read_log(log: Path) -> dict[str, tuple[str, Fate]]:
+    """Area and fate of every mutant, by its key."""
+    rows = log.read_text(encoding="utf-8").splitlines() if log.is_file() else []
+    return {
+        row["change"]: (row["area"], Fate(row["outcome"], row["tests"], row["noticed"]))
+        for row in map(json.loads, rows)
+    }
+
+
+def write_log(log: Path, fates: dict[str, tuple[str, Fate]]) -> None:
+    """One line per mutant, in the order of their keys."""
+    rows = [json.dumps({"change": key, "area": area, **asdict(fate)}) for key, (area, fate) in sorted(fates.items())]
+    write_atomically(log, "\n".join(rows) + "\n")
 
 
 def read_reasons() -> dict[str, str]:
     """Why survivors are no gap of the tests, by the key of the mutant."""
-    if not REASONS.is_file():
-        return {}
     reasons: dict[str, str] = tomllib.loads(REASONS.read_text(encoding="utf-8"))
     for key, reason in reasons.items():
         assert reason.startswith(HARMLESS), f"{key}: a reason begins with one of {', '.join(HARMLESS)}"
     return reasons
 
 
-def markdown(fates: Sequence[Fate], sample: int, reasons: dict[str, str]) -> tuple[str, float]:
+def markdown(fates: dict[Mutant, Fate], sample: Sequence[Mutant], reasons: dict[str, str]) -> tuple[str, float]:
     """The tables of the document, and the share of the changes in behaviour that the tests notice."""
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
     survivors = []
-    for fate in fates:
-        reason = reasons.get(fate.mutant.key, "gap") if fate.outcome == "survived" else ""
-        kind = fate.outcome if not reason else "gap" if reason == "gap" else "harmless"
-        for name in (fate.mutant.area, "all"):
+    for mutant, fate in fates.items():
+        open_end = "gap" if fate.tests else "no quick test"
+        reason = reasons.get(mutant.key, open_end) if fate.outcome == "survived" else ""
+        kind = fate.outcome if not reason else reason if reason == open_end else "harmless"
+        for name in (mutant.area, "all"):
             counts[name][kind] += 1
         if reason:
-            place = f"`{fate.mutant.module}:{fate.mutant.line}`"
-            survivors.append([place, f"`{fate.mutant.before}`", f"`{fate.mutant.after}`", reason])
+            survivors.append([f"`{mutant.module}`", f"`{mutant.before}`", f"`{mutant.after}`", reason])
     rows = []
-    for name in [*(name for name in AREAS if name in counts), "all"]:
+    share = 0.0
+    for name in [*AREAS, "all"]:
         found = counts[name]
         noticed = found["killed"] + found["timeout"]
-        share = noticed / max(noticed + found["gap"], 1)
-        numbers = [sum(found.values()), found["killed"], found["timeout"], found["harmless"], found["gap"]]
-        rows.append([name, *map(str, numbers), f"{100 * share:.0f} %"])
-    head = ["area", "changes", "test failed", "never ended", "harmless", "not noticed", "noticed of those that matter"]
+        missed = found["gap"] + found["no quick test"]
+        share = noticed / max(noticed + missed, 1)
+        asked = sum(mutant.area == name or name == "all" for mutant in sample)
+        numbers = [asked, found.total(), found["killed"], found["timeout"], found["harmless"]]
+        numbers += [found["gap"], found["no quick test"]]
+        rows.append([name, *map(str, numbers), f"{100 * share:.0f} %" if noticed + missed else "-"])
+    head = ["area", "drawn", "tried", "test failed", "never ended", "harmless", "not noticed"]
+    head += ["no quick test", "noticed of those that matter"]
     cells = [[cell.replace("|", "\\|") for cell in row] for row in survivors]
-    tried = f"{len(fates)} of the {sample} changes drawn were tried."
+    percent = 100 * len(fates) / max(len(sample), 1)
+    tried = f"{len(fates)} of the {len(sample)} changes drawn were tried ({percent:.0f} %)."
     return "\n\n".join(
-        [tried, markdown_table(head, rows), markdown_table(["line", "before", "after", "why"], cells)]
+        [tried, markdown_table(head, rows), markdown_table(["module", "before", "after", "why"], cells)]
     ), share
 
 
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mutants", type=int, default=210, help="changes in all, as many from every area")
+    parser.add_argument("--mutants", type=int, default=210, help="changes in all")
     parser.add_argument("--areas", nargs="+", choices=list(AREAS), default=list(AREAS), help="only these")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=math.inf, help="then stop; the next call goes on")
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "mutants", help="folder for the copy and the log")
-    parser.add_argument("--survivors", action="store_true", help="try again what survived, by the log")
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / "mutants", help="folder for the copy")
+    parser.add_argument("--log", type=Path, default=FATES, help="file of the fates")
+    parser.add_argument("--again", action="store_true", help="try also what the log knows")
+    parser.add_argument("--survivors", action="store_true", help="try again, by long tests too, what survived")
     parser.add_argument("--from-log", action="store_true", help="no tests, only the tables")
     parser.add_argument("--document", type=Path, help="file whose tables are replaced")
     options = parser.parse_args(arguments)
     options.work.mkdir(parents=True, exist_ok=True)
-    log = options.work / "log.jsonl"
-    each = -(-options.mutants // len(AREAS))
-    sample = [mutant for area in options.areas for mutant in sample_of(area, each, options.seed, options.work)]
-    known = read_log(log)
+    sample = sample_of(options.areas, options.mutants, options.seed, options.work)
+    known, reasons = read_log(options.log), read_reasons()
     if not options.from_log:
-        again = [m for m in sample if m.key in known and known[m.key].outcome == "survived"]
-        chosen = again if options.survivors else [m for m in sample if m.key not in known]
-        judged(Tree(options.work / "tree"), chosen, log, options.minutes)
-        known = read_log(log)
-    fates = [known[mutant.key] for mutant in sample if mutant.key in known]
-    tables, share = markdown(fates, len(sample), read_reasons())
+        chosen = [m for m in sample if options.again or m.key not in known or not known[m.key][1].tests]
+        if options.survivors:
+            survived = [m for m in sample if m.key in known and known[m.key][1].outcome == "survived"]
+            chosen = [m for m in survived if m.key not in reasons]
+        judged(Tree(options.work / "tree"), chosen, options.log, options.minutes, options.survivors)
+        known = read_log(options.log)
+    tables, share = markdown({m: known[m.key][1] for m in sample if m.key in known}, sample, reasons)
     print(tables)
     if options.document:
         replace_between_markers(options.document, MARKER, tables)
-    return 0 if share >= 0.9 and len(fates) == len(sample) else 1
+    return 0 if share >= 0.9 and all(mutant.key in known for mutant in sample) else 1
 
 
 if __name__ == "__main__":

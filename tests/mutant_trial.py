@@ -1,4 +1,4 @@
-"""Runs tests in a copy of the project: which of them execute a line, and whether they notice a change."""
+"""A copy of the project where changes are tried: which tests execute a line, and whether they notice a change."""
 
 from __future__ import annotations
 
@@ -6,27 +6,16 @@ import ast
 import hashlib
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
-from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
-
-from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST_TEST = 60  # s, of a test that judges; what takes longer uncompiled does not take part
-LONGEST_TRIAL = 240.0  # s, of all tests of one change
-
-COVERAGE = """[run]
-include = {modules}
-dynamic_context = test_function
-data_file = {data}
-"""
+LONGEST_TRIAL = 12.0  # s of the processor, of all tests of one change as they take without it
+LONGEST_SECOND_LOOK = 60.0  # s of the processor, of all tests of a change that survived, and their fixtures
 
 
 @dataclass(frozen=True)
@@ -34,30 +23,46 @@ class Judges:
     """Tests that judge the changes of an area.
 
     Args:
-        seconds: of every test function, all its cases together, without a change; the quickest first.
-        executed: per module below src/takeapart and line the functions that execute it; "" stands for imports and for
-            fixtures, which serve whatever test comes.
+        seconds: of every test, without a change.
+        fixtures: of every test.
+        fixture_seconds: of every fixture.
+        executed: per module below src/takeapart and line what executes it: names of tests, "fixture NAME", and "" for
+            what runs when the tests are imported.
     """
 
     seconds: dict[str, float]
-    executed: dict[str, dict[int, list[str]]] = field(default_factory=dict)
+    fixtures: dict[str, list[str]]
+    fixture_seconds: dict[str, float]
+    executed: dict[str, dict[int, list[str]]]
 
     def of(self, module: str, source: str, line: int) -> list[str]:
-        """Test functions that may notice a change in a line, the quickest first: those that execute its statement,
-        then, where imports or fixtures do, all others; no more than LONGEST_TRIAL allows."""
-        executed: set[str] = set()
-        for number in statement_lines(source, line):
-            executed.update(self.executed.get(module, {}).get(number, []))
-        ordered = [name for name in self.seconds if name in executed]
-        if "" in executed:
-            ordered += [name for name in self.seconds if name not in executed]
+        """Tests that may notice a change in a line, the quickest first: those that execute its statement, then those
+        with fixtures that do, then, where imports do, all others; no more than LONGEST_TRIAL allows."""
+        executed = self._executing(module, source, line)
+        classes: list[list[str]] = [[], [], []]
+        for name in sorted(self.seconds, key=self.seconds.__getitem__):
+            by_fixture = any(f"fixture {fixture}" in executed for fixture in self.fixtures[name])
+            classes[0 if name in executed else 1 if by_fixture else 2].append(name)
         chosen, total = [], 0.0
-        for name in ordered:
+        for name in [*classes[0], *classes[1], *(classes[2] if "" in executed else [])]:
             total += self.seconds[name]
             if total > LONGEST_TRIAL:
                 break
             chosen.append(name)
         return chosen
+
+    def at_import(self, module: str, source: str, line: int) -> bool:
+        return "" in self._executing(module, source, line)
+
+    def allowed(self, name: str) -> float:
+        """Seconds of the processor that a test takes together with its fixtures; much where it was not measured."""
+        if name not in self.seconds:
+            return LONGEST_SECOND_LOOK
+        return self.seconds[name] + sum(self.fixture_seconds.get(fixture, 0.0) for fixture in self.fixtures[name])
+
+    def _executing(self, module: str, source: str, line: int) -> set[str]:
+        lines = self.executed.get(module, {})
+        return {name for number in statement_lines(source, line) for name in lines.get(number, [])}
 
 
 def statement_lines(source: str, line: int) -> range:
@@ -91,106 +96,150 @@ class Tree:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(source, copy)
 
-    def _run(self, command: Sequence[str], compiled: bool, seconds: float) -> int | None:
-        """Exit code of a command in the copy; None if it takes more processor time, or ten times that on the wall."""
-        environment = {**os.environ, "PYTHONPATH": f"{self.folder / 'src'}", "PYTHONDONTWRITEBYTECODE": "1"}
-        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HYPOTHESIS_DATABASE_FILE": os.devnull}
-        environment |= {} if compiled else {"NUMBA_DISABLE_JIT": "1"}
-        process = subprocess.Popen(
-            [sys.executable, *command],
-            cwd=self.folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        limit = int(seconds)
-        resource.prlimit(process.pid, resource.RLIMIT_CPU, (limit, limit + 1))
-        try:
-            code = process.wait(10 * seconds)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, 9)
-            process.wait()
-            return None
-        return None if code < 0 else code
-
     def source(self, module: str) -> str:
         """Text of a module below src/takeapart."""
-        return (self.folder / "src" / "takeapart" / module).read_text(encoding="utf-8")
+        return self._path(module).read_text(encoding="utf-8")
+
+    def _path(self, module: str) -> Path:
+        return self.folder / "src" / "takeapart" / module
+
+    def process(self, arguments: Sequence[str], compiled: bool, kept: bool = True) -> subprocess.Popen[str]:
+        """Starts `mutant_judge` in the copy.
+
+        Args:
+            kept: Python may keep what it compiles.
+        """
+        environment = {**os.environ, "PYTHONPATH": f"{self.folder / 'src'}", "HYPOTHESIS_DATABASE_FILE": os.devnull}
+        environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment |= {} if compiled else {"NUMBA_DISABLE_JIT": "1"}
+        environment |= {} if kept else {"PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.Popen(
+            [sys.executable, "tests/mutant_judge.py", *arguments],
+            cwd=self.folder,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+        )
 
     def judges(self, files: Sequence[str], modules: Sequence[str], compiled: bool, kept: Path) -> Judges:
-        """Test functions of some files all cases of which pass, each within LONGEST_TEST, and what they execute.
+        """Tests of some files that pass, each quickly enough, and what they execute.
 
         Args:
             modules: patterns below src/takeapart of what is executed.
             kept: folder where the answer is kept for as long as neither these files nor these modules change.
         """
-        digest = hashlib.sha256(repr((list(files), list(modules), compiled, LONGEST_TEST)).encode())
+        digest = hashlib.sha256(repr((list(files), list(modules), compiled)).encode())
         sources = [path for pattern in modules for path in sorted((self.folder / "src" / "takeapart").glob(pattern))]
-        for path in [*sources, *(self.folder / file for file in files)]:
+        for path in [*sources, *(self.folder / file for file in files), Path(__file__).with_name("mutant_judge.py")]:
             digest.update(path.read_bytes() if path.is_file() else b"")
         answer = kept / f"judges-{digest.hexdigest()[:16]}.json"
-        if answer.is_file():
-            document = json.loads(answer.read_text(encoding="utf-8"))
-            executed = {
-                module: {int(line): names for line, names in lines.items()}
-                for module, lines in document["executed"].items()
-            }
-            return Judges(document["seconds"], executed)
-        data, settings, report = kept / "coverage.data", kept / "coverage.ini", kept / "report.xml"
-        data.unlink(missing_ok=True)
-        included = ",".join(f"src/takeapart/{pattern}" for pattern in modules)
-        settings.write_text(COVERAGE.format(data=data, modules=included), encoding="utf-8")
-        command = ["-m", "coverage", "run", f"--rcfile={settings}", "-m", "pytest", "-q", "-p", "no:cacheprovider"]
-        command += ["-p", "no:xdist", "-m", "not slow", f"--timeout={LONGEST_TEST}", f"--junitxml={report}", *files]
-        self._run(command, compiled, 3600.0)
-        found = Judges(_seconds(report), _executed(data, self.folder))
-        answer.write_text(json.dumps(asdict(found)), encoding="utf-8")
-        if self._run(["-m", "pytest", "-q", "--collect-only", *found.seconds], compiled, 600.0) != 0:
-            raise AssertionError(f"tests of {', '.join(files)} are not found again by their names")
-        return found
+        if not answer.is_file():
+            self.process(["measure", str(answer.resolve()), *modules, "--", *files], compiled).communicate()
+        document = json.loads(answer.read_text(encoding="utf-8"))
+        executed = {
+            module: {int(line): names for line, names in lines.items()}
+            for module, lines in document["executed"].items()
+        }
+        return Judges(document["seconds"], document["fixtures"], document["fixture_seconds"], executed)
 
-    def trial(self, module: str, changed: str, tests: Sequence[str], judges: Judges, compiled: bool) -> str:
-        """Makes a change, runs the tests until one fails, takes the change back: "killed", "timeout" or "survived"."""
-        path = self.folder / "src" / "takeapart" / module
-        original, times = self.source(module), path.stat()
+
+class Bench:
+    """Where the changes of an area are tried, one after the other.
+
+    A test counts only if it passes alone without a change: one that leans on what others left behind is no judge.
+    """
+
+    def __init__(self, tree: Tree, files: Sequence[str], judges: Judges, compiled: bool) -> None:
+        self.tree, self.files, self.judges, self.compiled = tree, list(files), judges, compiled
+        self.proven: dict[str, bool] = {}
+        self.serving: subprocess.Popen[str] | None = None
+
+    def unmeasured(self, module: str) -> list[str]:
+        """Tests, too long or too many to be measured, of the files that name a module."""
+        stem = module.removesuffix(".py").replace("/", ".")
+        named = [
+            file
+            for file in self.files
+            if any(name in (self.tree.folder / file).read_text(encoding="utf-8") for name in (stem, _imported(stem)))
+        ]
+        names = self._answer(self._server(), "names")
+        return [name for name in names if name not in self.judges.seconds and name.partition("::")[0] in named]
+
+    def trial(self, module: str, changed: str, tests: Sequence[str], at_import: bool) -> tuple[str, str]:
+        """Outcome of a change, "killed", "timeout" or "survived", and the test that noticed it."""
+        chosen = [name for name in tests if self.proven.get(name, True)]
+        while chosen:
+            outcome, test = self._outcome(module, changed, chosen, at_import)
+            if not test or self._passes_alone(test):
+                return outcome, test
+            chosen.remove(test)
+        return "survived", ""
+
+    def close(self) -> None:
+        if self.serving is not None:
+            self.serving.communicate()
+            self.serving = None
+
+    def _outcome(self, module: str, changed: str, tests: Sequence[str], at_import: bool) -> tuple[str, str]:
+        path, original = self.tree._path(module), self.tree.source(module)
+        times = path.stat()
+        serving = self._server()
         path.write_text(changed, encoding="utf-8")
-        command = ["-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow"]
-        seconds = 4 * sum(judges.seconds[name] for name in tests) + 90
         try:
-            code = self._run([*command, f"--timeout={10 * LONGEST_TEST}", *tests], compiled, seconds)
+            if not at_import:
+                outcome, test = self._ask(serving, tests, str(path), original, changed)
+                if outcome != "not put in":
+                    return outcome, test
+            own = self.tree.process(["serve", "--", *self.files], self.compiled, kept=False)
+            assert own.stdout is not None
+            if not own.stdout.readline():
+                own.communicate()
+                return "killed", ""  # nothing can be imported
+            found = self._ask(own, tests)
+            own.communicate()
+            return found
         finally:
             path.write_text(original, encoding="utf-8")
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
-        return "timeout" if code is None else "killed" if code else "survived"
+
+    def _passes_alone(self, test: str) -> bool:
+        if test not in self.proven:
+            self.proven[test] = self._ask(self._server(), [test])[0] == "survived"
+        return self.proven[test]
+
+    def _server(self) -> subprocess.Popen[str]:
+        if self.serving is None:
+            self.serving = self.tree.process(["serve", "--", *self.files], self.compiled)
+            assert self.serving.stdout is not None
+            if not self.serving.stdout.readline():
+                raise AssertionError(f"tests of {', '.join(self.files)} cannot be collected")
+        return self.serving
+
+    def _ask(
+        self,
+        process: subprocess.Popen[str],
+        tests: Sequence[str],
+        file: str = "",
+        original: str = "",
+        changed: str = "",
+    ) -> tuple[str, str]:
+        timed = [(name, self.judges.allowed(name)) for name in tests]
+        order = {"tests": timed, "file": file, "original": original, "changed": changed, "seconds": LONGEST_SECOND_LOOK}
+        outcome, test = self._answer(process, order)
+        return outcome, test
+
+    def _answer(self, process: subprocess.Popen[str], order: object) -> list[str]:
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(json.dumps(order) + "\n")
+        process.stdin.flush()
+        answer: list[str] = json.loads(process.stdout.readline())
+        return answer
 
 
-def _seconds(report: Path) -> dict[str, float]:
-    """Time of every test function, all cases together, s; none of which a case failed or was skipped."""
-    total: defaultdict[str, float] = defaultdict(float)
-    unusable = set()
-    for case in ElementTree.parse(report).getroot().iter("testcase"):
-        name = f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name', '').partition('[')[0]}"
-        total[name] += float(case.get("time", 0.0))
-        if len(case):
-            unusable.add(name)
-    return dict(sorted(((k, v) for k, v in total.items() if k not in unusable), key=lambda item: item[1]))
-
-
-def _executed(data: Path, folder: Path) -> dict[str, dict[int, list[str]]]:
-    """Per module and line the test functions that execute it, by their names for pytest."""
-    coverage = CoverageData(str(data))
-    coverage.read()
-    package = folder / "src" / "takeapart"
-    found: dict[str, dict[int, list[str]]] = {}
-    for file in coverage.measured_files():
-        lines = coverage.contexts_by_lineno(file)
-        found[str(Path(file).relative_to(package))] = {
-            line: [_name(context) for context in contexts] for line, contexts in lines.items()
-        }
-    return found
-
-
-def _name(context: str) -> str:
-    file, _, function = context.rpartition(".")
-    return f"tests/{file.rpartition('.')[2]}.py::{function}" if file else ""
+def _imported(stem: str) -> str:
+    """How a module is imported by the name of its package."""
+    package, _, name = stem.rpartition(".")
+    return f"from takeapart.{package} import {name}"

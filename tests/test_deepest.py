@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from small_assemblies import two_bars
 from synthetic import SyntheticProblem, members, problem_that_may_fall, problem_with_many_ways, random_problem
 from takeapart.formats.files import load_plan, save_plan
 from takeapart.planning import Infeasible, PlanningOptions, plan
+from takeapart.problem import Guide, Problem
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.search.deepest import deepen, deepest_of
 from takeapart.search.exact import ExactOptions, exact
@@ -123,6 +125,53 @@ def test_nothing_is_asked_when_the_budget_is_spent_and_nothing_is_called_proved(
     check_sequence(problem, deepest)
     assert not deepest.is_deepest
     assert not deepest.is_shortest
+
+
+@pytest.mark.parametrize("kind", ["monotone", "statics"])
+def test_longer_removals_from_a_second_search_are_not_taken(kind: str) -> None:
+    tried = 0
+    for seed in range(25):
+        problem = infeasible(kind, seed)
+        alone = deepest_of(infeasible(kind, seed), Budget())
+
+        def longer(part_of_it: object, left: Budget) -> SearchResult:
+            result = exact(part_of_it, ExactOptions(), left)  # type: ignore[arg-type]
+            removals = tuple(replace(removal, length=removal.length + 1.0) for removal in result.removals)
+            return replace(result, removals=removals, length=sum(removal.length for removal in removals))
+
+        if alone.removals:
+            tried += 1
+            deepest = deepest_of(problem, Budget(), longer)
+            assert deepest.state == alone.state and deepest.length == pytest.approx(alone.length)
+            assert [removal.length for removal in deepest.removals] == [removal.length for removal in alone.removals]
+    assert tried > 5
+
+
+def test_guide_of_the_whole_problem_leads_the_second_search() -> None:
+    problem = infeasible("monotone", 3)
+    (stuck,) = truth(problem)[2]
+    asked: list[int] = []
+    given: list[Guide | None] = []
+
+    def guide(states: Sequence[int]) -> list[dict[int, float]]:
+        asked.extend(states)
+        return [{part: float(part) for part in members(state)} for state in states]
+
+    def run(part_of_it: Problem, left: Budget, guide: Guide | None) -> SearchResult:
+        given.append(guide)
+        return exact(part_of_it, ExactOptions(), left, guide=guide)
+
+    for whole in (guide, None):
+        deepest = deepen(problem, SearchResult((), math.inf), Budget(), whole, run, True, (math.inf, 0))
+        assert deepest.state == stuck and deepest.is_shortest
+    restricted, none = given
+    assert none is None and restricted is not None
+    rest = problem.root & ~stuck
+    asked.clear()
+    assert restricted([rest, rest & -rest]) == [
+        {part: float(part) for part in members(s)} for s in (rest, rest & -rest)
+    ]
+    assert asked == [problem.root, rest & -rest | stuck], "the guide knows the parts that stay"
 
 
 def test_parts_that_never_leave_stay_together() -> None:

@@ -16,11 +16,17 @@ from order_search_cases import (
     mutually_blocked,
     never_leaving,
 )
-from synthetic import InterruptedProblem, SyntheticProblem, exact_guide, problem_with_dead_ends, random_problem
+from synthetic import (
+    InterruptedProblem,
+    SyntheticProblem,
+    exact_guide,
+    problem_with_dead_ends,
+    random_problem,
+)
 from takeapart.model.errors import InputError
 from takeapart.removal.bounds import EdgeBounds
 from takeapart.removal.result import Blocked
-from takeapart.search import lattice_bounds
+from takeapart.search import lattice_bounds, session
 from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.refinement import RefinementOptions
 from takeapart.search.result import Budget, Progress, ProgressListener, SearchResult
@@ -299,3 +305,30 @@ def test_refusals_name_what_the_planner_blamed() -> None:
 def test_bad_options(options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"exact\." + next(iter(options))):
         ExactOptions(**options)
+
+
+class StoppedClock:
+    """Time that only the test moves on."""
+
+    now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.mark.parametrize(("limit", "after", "told"), [(0.05, 0.06, "all"), (0.05, 0.2, "one"), (10.0, 0.2, "all")])
+def test_what_is_settled_is_told_until_time_and_a_little_more_are_over(
+    limit: float, after: float, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`after` the first is told so many seconds are over."""
+    clock = StoppedClock()
+    monkeypatch.setattr(session, "time", clock)
+    seen: list[tuple[int, int]] = []
+
+    def observe(state: int, part: int, *rest: object) -> None:
+        seen.append((state, part))
+        clock.now = after
+
+    exact(random_problem(5, 0), ExactOptions(), Budget(seconds=limit), observe_settled=observe)
+    assert len(seen) == 1 if told == "one" else len(seen) > 20
+    assert seen[0][0] == random_problem(5, 0).root, "large states first"

@@ -424,6 +424,62 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
         pass
 
 
+def test_halves_of_files_that_a_kill_left_are_removed_and_nothing_else(tmp_path: Path) -> None:
+    with open_run(tmp_path, IDENTITY):
+        pass
+    others = {"notes.tmp", ".run.json.old", "run.json.tmp", ".thesis.tmp"}
+    for name in (".run.json.x1.tmp", ".journal.sqlite.tmp", ".plan.json.tmp7", *others):
+        (tmp_path / name).write_text("half")
+    with open_run(tmp_path, IDENTITY):
+        hidden = {name for name in os.listdir(tmp_path) if ".tmp" in name or name.startswith(".run")}
+    assert others <= hidden and not {".run.json.x1.tmp", ".journal.sqlite.tmp", ".plan.json.tmp7"} & hidden
+    (tmp_path / ".run.json.tmp").mkdir()
+    with pytest.raises(InputError, match="cannot be removed") as caught, open_run(tmp_path, IDENTITY):
+        pass
+    assert str(tmp_path / ".run.json.tmp") in str(caught.value)
+
+
+def test_a_lock_that_cannot_be_opened_is_told(tmp_path: Path) -> None:
+    with open_run(tmp_path, IDENTITY):
+        pass
+    (lock,) = {name for name in os.listdir(tmp_path) if "lock" in name}
+    (tmp_path / lock).unlink()
+    (tmp_path / lock).mkdir()
+    with pytest.raises(InputError, match="the run directory cannot be written"), open_run(tmp_path, IDENTITY):
+        pass
+
+
+def test_no_journal_is_made_where_sqlite_has_no_write_ahead_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda path, **options: connect(":memory:", **options))
+    with pytest.raises(InputError, match="no room for SQLite's write-ahead log"):
+        create_journal(tmp_path / "journal.sqlite", SEAL)
+    assert not os.listdir(tmp_path)
+
+
+@pytest.mark.parametrize(("changed", "rest"), [(1, ""), (2, ""), (3, ""), (4, "; and 1 more"), (6, "; and 3 more")])
+def test_differences_beyond_the_third_are_counted(changed: int, rest: str, tmp_path: Path) -> None:
+    with open_run(tmp_path, {**IDENTITY, "options": {f"k{k}": 0 for k in range(8)}}):
+        pass
+    now = {**IDENTITY, "options": {f"k{k}": int(k < changed) for k in range(8)}}
+    listed = "; ".join(f"options.k{k} was 0, now 1" for k in range(min(changed, 3)))
+    with pytest.raises(InputError) as caught, open_run(tmp_path, now):
+        pass
+    assert f"otherwise: {listed}{rest}; take another folder" in str(caught.value)
+
+
+def test_of_a_digest_the_first_characters_are_shown(tmp_path: Path) -> None:
+    with open_run(tmp_path, {**IDENTITY, "sources": "0123456789abcdef" * 4}):
+        pass
+    with (
+        pytest.raises(InputError, match=r"was '?0123456789ab\.\.\.'?, now '?ba9876543210\.\.\."),
+        open_run(tmp_path, {**IDENTITY, "sources": "ba9876543210fedc" * 4}),
+    ):
+        pass
+
+
 def test_one_process_at_a_time(tmp_path: Path) -> None:
     child = holder(tmp_path)
     try:

@@ -309,3 +309,9 @@ def test_options_are_checked() -> None:
         MctsOptions(epsilon=math.nan)
     with pytest.raises(InputError, match=r"mcts\.exploration"):
         MctsOptions(exploration=-1.0)
+
+
+def test_one_part_takes_one_step_and_two_nodes() -> None:
+    result = mcts(random_problem(1, 0), MctsOptions(), Budget(episodes=5), np.random.default_rng(0))
+    expected = {"steps": 1, "nodes": 2, "explored": 1, "episodes": 1, "found_step": 1, "found_episode": 1}
+    assert {name: result.statistics[name] for name in expected} == expected

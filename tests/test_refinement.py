@@ -18,7 +18,7 @@ from takeapart.search.exact import ExactOptions, exact
 from takeapart.search.lattice import Lattice, enumerate_states
 from takeapart.search.lattice_bounds import LatticeBounds
 from takeapart.search.lattice_standing import LatticeStanding
-from takeapart.search.refinement import Refinement, RefinementOptions
+from takeapart.search.refinement import Hopes, Refinement, RefinementOptions
 from takeapart.search.result import Budget, SearchResult
 from takeapart.search.session import Session
 
@@ -264,3 +264,28 @@ def test_what_is_planned_again_is_what_the_shortest_sequence_by_hopes_rests_on(o
 def test_bad_options(options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"refinement\." + next(iter(options))):
         RefinementOptions(**options)
+
+
+class SomeBounds:
+    """Bounds of edges that are what they are."""
+
+    def __init__(self, lower: list[float], upper: list[float]) -> None:
+        self.lower, self.upper = np.array(lower), np.array(upper)
+
+    def update(self) -> tuple[bool, bool]:
+        return False, False
+
+
+@pytest.mark.parametrize("optimism", [0.0, 0.3, 1.0])
+def test_hopes_lie_between_what_is_settled_and_what_is_known(optimism: float) -> None:
+    known = SomeBounds([1.0, 2.0, math.inf, 3.0, 4.0], [1.5, 2.0, math.inf, math.inf, 4.0])
+    settled = SomeBounds([0.5, 2.5, 0.7, 3.0, 1.0], [math.inf] * 5)
+    hopes = Hopes(known, settled, optimism, lambda: None)  # type: ignore[arg-type]
+    assert hopes.update() == (True, True)
+    doubted = 1.0 - optimism
+    # settled above what is known to work is no bound; refused in doubt: the settled one alone
+    expected = [0.5 + doubted * 0.5, 2.0, 0.7, 3.0, 1.0 + doubted * 3.0]
+    assert np.allclose(hopes.lower, expected)
+    assert hopes.update() == (True, False)
+    settled.lower = settled.lower - 0.1
+    assert hopes.update() == (True, True), "the third edge hopes for less"

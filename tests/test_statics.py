@@ -288,6 +288,38 @@ def test_masks_never_forbid_what_stands_and_groups_do_not_change_the_verdict() -
             assert stability.stable(rest).stands, "what does not fall stands without what fell"
 
 
+def test_needs_is_the_only_part_that_can_carry_any_of_the_weight() -> None:
+    """Of boxes along the axes all that touch carry, at their sides by friction, but those that lie on top."""
+    alone = several = 0
+    for seed in range(8):
+        scene = random_structure(np.random.default_rng(seed), 9)
+        low = np.array([part.shape.surface().moved(part.T_world_part).bounds[0] for part in scene.parts])
+        high = np.array([part.shape.surface().moved(part.T_world_part).bounds[1] for part in scene.parts])
+        stability = ContactStability(scene)
+        for a in members(scene.root):
+            shared = np.minimum(high, high[a]) - np.maximum(low, low[a])  # (parts, 3) m
+            touching = (shared > -scene.contact_gap).all(axis=1) & ((shared > 1e-3).sum(axis=1) == 2)
+            carriers = [b for b in np.nonzero(touching)[0] if b != a and low[b, 2] < high[a, 2] - 1e-6]
+            only = 1 << int(carriers[0]) if len(carriers) == 1 and not scene.parts[carriers[0]].fixed else 0
+            assert stability.needs(a) == only
+            alone, several = alone + bool(only), several + (len(carriers) > 1)
+    assert alone > 5 and several > 5
+
+
+def test_joint_carries_beside_what_a_part_lies_on() -> None:
+    points = np.array([[0.05, y, z] for y, z in ((-0.02, 0.02), (0.02, 0.02), (0.0, 0.08))])
+    joint = Joint("screw", "screw", "left", "right", points, np.array([1.0, 0.0, 0.0]), 100.0)
+    left = block("left", (0.1, 0.1, 0.1), (0.0, 0.0, 0.05))
+    lying = product(ground(), left, block("right", (0.1, 0.1, 0.1), (0.103, 0.0, 0.05)), joints=[joint])
+    hanging = product(ground(), left, block("right", (0.1, 0.1, 0.08), (0.103, 0.0, 0.06)), joints=[joint])
+    names = {name: 1 << lying.index[name] for name in ("left", "right")}
+    for scene, needed in ((lying, 0), (hanging, names["left"])):
+        stability = ContactStability(scene)
+        assert stability.needs(scene.index["right"]) == needed
+        assert stability.needs(scene.index["left"]) == 0
+        assert stability.dependents(scene.index["left"], scene.root) == (names["right"] if needed else 0)
+
+
 def test_connectors_keep_their_rule_and_contact_judges_the_rest() -> None:
     rack = load_assembly(data_path("examples/rack.json"))
     assert isinstance(require_standing(rack), ConnectorStability)
