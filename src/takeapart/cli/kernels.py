@@ -130,7 +130,11 @@ def units(orders: bool) -> dict[str, Unit]:
     ]
     field, cloud, tree = example(fields.Field), example(points.Cloud), example(triangles.TriangleTree)
     grid16, counts, middles = np.zeros((1, 1, 1), np.int16), np.zeros((1, 1, 1), np.int8), example(fields.Field).coarse
-    side, covers, some = passing.Side(field, cloud, two, two, two), bounds.covers_of([three]), np.zeros(1, np.bool_)
+    side, covers, some = (
+        passing.Side(field, cloud, two, two, two),
+        bounds.covers_of([np.zeros((1, 2, 3))]),
+        np.zeros(1, np.bool_),
+    )
     called += [  # of contact between parts
         (grids._fill, (tree, one, 0.0, 0.0, counts, grid16, middles, 0)),
         (meeting.cloud_hit, (field, cloud, two, one, 0.0, 0.0)),
@@ -145,7 +149,7 @@ def units(orders: bool) -> dict[str, Unit]:
         (bounds.pass_near, (three, three, two, 0.0, one)),
         (bounds.clear_after, (three, covers, some, two, two, example(bounds.Way))),
         (bounds.near_at, (three, covers, some, one, one, 0.0, 0.0)),
-        (passing.passes, (side, side, example(passing.Keep), one)),
+        (passing.passes, (side, side, passing.Keep(0.0, True, 0.0, 0.0), one)),
     ]
     of_orders = [
         (lattice._count_candidates, (bits, bits, int64)),
