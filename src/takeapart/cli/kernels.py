@@ -150,7 +150,7 @@ def units(orders: bool) -> dict[str, Unit]:
         (bounds.pass_near, (three, three, two, 0.0, one)),
         (bounds.clear_after, (three, covers, some, two, two, example(bounds.Way))),
         (bounds.near_at, (three, covers, some, one, one, 0.0, 0.0)),
-        (passing.passes, (side, side, example(passing.Keep), one)),
+        (passing.passes, (side, side, passing.Keep(0.0, True, 0.0, 0.0), one)),
     ]
     of_orders = [
         (lattice._count_candidates, (bits, bits, int64)),
