@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from takeapart.collision import grids
-from takeapart.collision.bounds import overlaps_along
+from takeapart.collision.bounds import _near_from, _near_until
 from takeapart.collision.contact import NEAR, Body, _least_distance
 from takeapart.collision.fields import Field, mesh_field, signed_distances, surface_points
 from takeapart.collision.meeting import cloud_distance, cloud_hit, points_below
@@ -144,7 +144,13 @@ def test_bounds_pass_each_other_from_where_to_where_single_steps_say() -> None:
                 moved = a[None] + steps[:, None, None] * direction
                 near = ((b[0] - moved[:, 1] < 0.005) & (moved[:, 0] - b[1] < 0.005)).all(axis=1)
                 expected += [steps[near]] if near.any() else []
-        found = overlaps_along(own, others, direction, 0.005)
+        x, y, z = direction
+        found = [
+            (enter, _near_until(own, k, others, other, x, y, z, 0.005))
+            for k in range(len(own))
+            for other in range(len(others))
+            if (enter := _near_from(own, k, others, other, x, y, z, 0.005)) < np.inf
+        ]
         assert len(found) == len(expected)
         pairs += len(found)
         for (enter, leave), seen in zip(found, expected, strict=True):

@@ -74,6 +74,20 @@ def test_a_damaged_index_is_no_machine_code() -> None:
     assert has_machine_code(dispatcher, (numba.float64,))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_machine_code_that_was_cut_off_is_compiled_again(share: float) -> None:
+    dispatcher: Any = six_times
+    dispatcher(1.0)
+    cache = dispatcher._cache._cache_file
+    key = dispatcher._cache._index_key(dispatcher.signatures[0], dispatcher.targetctx.codegen())
+    file = Path(cache._data_path(cache._load_index()[key]))
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    again: Any = compiled(six_times.py_func)  # type: ignore[attr-defined]
+    assert again(1.5) == 9.0
+    assert len(file.read_bytes()) > 0.9 * len(content)
+
+
 class TwoParts:
     """Two parts that leave in any order, at a fixed length; no geometry."""
 

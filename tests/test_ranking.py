@@ -26,7 +26,10 @@ def kept_of(ways: list[Figures]) -> list[int]:
             ways[k] for k in kept if ways[k].blockers | way.blockers == way.blockers
             and ways[k].length <= way.length + SAME_LENGTH
         ]  # fmt: skip
-        apart = all(np.degrees(np.arccos(np.clip(np.dot(way.towards, other.towards), -1, 1))) > 25 for other in better)
+        apart = all(
+            np.degrees(np.arccos(np.clip(np.dot(way.towards or UP, other.towards or UP), -1, 1))) > 25
+            for other in better
+        )
         alike = bool(better) and len(better) <= ALIKE and better[0].blockers == way.blockers
         apart = apart or not way.leans
         spare = way.towards == UP and ways[kept[0]].blockers != 0 if kept else False

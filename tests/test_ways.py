@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from takeapart.model.geometry import pose
-from takeapart.removal.exits import Exit, _is_no_worse, _stuck
+from takeapart.removal.exits import Exit
 from takeapart.removal.following import lead_lengths
+from takeapart.removal.selection import is_no_worse, stuck
 from takeapart.states import members
 
 
@@ -35,16 +36,16 @@ def test_stuck_is_what_is_left_when_parts_leave_one_by_one_in_any_order(seed: in
                 rest = state & ~(1 << part)
                 left += [rest] if rest not in reached else []
                 reached.add(rest)
-    assert _stuck(ways) == min(reached, key=int.bit_count)
+    assert stuck(ways) == min(reached, key=int.bit_count)
 
 
 def test_a_way_is_no_worse_if_it_hits_nothing_else_and_is_no_longer() -> None:
-    assert _is_no_worse(way(0b001), way(0b011))
-    assert _is_no_worse(way(0b011), way(0b011))
-    assert not _is_no_worse(way(0b011), way(0b001))
-    assert not _is_no_worse(way(0b100), way(0b011))
-    assert not _is_no_worse(way(0b001, 0.2), way(0b011, 0.1))
-    assert _is_no_worse(way(0b001, 0.1), way(0b011, 0.2))
+    assert is_no_worse(way(0b001), way(0b011))
+    assert is_no_worse(way(0b011), way(0b011))
+    assert not is_no_worse(way(0b011), way(0b001))
+    assert not is_no_worse(way(0b100), way(0b011))
+    assert not is_no_worse(way(0b001, 0.2), way(0b011, 0.1))
+    assert is_no_worse(way(0b001, 0.1), way(0b011, 0.2))
 
 
 def test_points_go_as_far_as_the_part_on_a_straight_way_and_by_their_arcs_on_others() -> None:

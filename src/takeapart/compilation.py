@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import pickle
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -100,7 +101,17 @@ class _MachineCode(CompileResultCacheImpl):
         return found
 
 
-class _KernelCache(FunctionCache):
+class _Cache(FunctionCache):
+    """As numba's, but for machine code that was cut off, which is as none."""
+
+    def _load_overload(self, signature: Any, context: Any) -> Any:
+        try:
+            return super()._load_overload(signature, context)
+        except (EOFError, pickle.UnpicklingError):
+            return None
+
+
+class _KernelCache(_Cache):
     """Reads machine code without making the compiler ready, which takes as long as importing it; it gets itself ready
     before it compiles.
     """
@@ -127,7 +138,7 @@ def _dispatcher(function: Callable[..., Any], part: str = "", **options: Any) ->
         before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
         numba.config.CACHE_DIR = folder  # type: ignore[attr-defined]
         try:
-            made._cache = FunctionCache(function) if "no_cpython_wrapper" in options else _KernelCache(function)
+            made._cache = _Cache(function) if "no_cpython_wrapper" in options else _KernelCache(function)
         finally:
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
     return made
