@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import pickle
 import os
+import pickle
 import threading
 from collections.abc import Callable, Sequence
 from functools import cache, cached_property
