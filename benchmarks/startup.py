@@ -36,7 +36,8 @@ def main() -> int:
     for name, arguments in STARTED.items():
         seconds = [processor_time(arguments) for _ in range(given.repeats)]
         rows.append(f"| {name} | {min(seconds):.2f} s | {max(seconds):.2f} s |")
-    text = "\n".join([*rows, "", f"{given.repeats} runs of each; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}."])
+    load = os.getloadavg()[0]
+    text = "\n".join([*rows, "", f"{given.repeats} runs of each; {os.cpu_count()} cores, load {load:.1f}."])
     print(text)
     if given.document:
         replace_between_markers(given.document, "startup", text)
