@@ -12,6 +12,7 @@ import argparse
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from takeapart.experiments.tables import replace_between_markers
@@ -36,9 +37,8 @@ def main() -> int:
     for name, arguments in STARTED.items():
         seconds = [processor_time(arguments) for _ in range(given.repeats)]
         rows.append(f"| {name} | {min(seconds):.2f} s | {max(seconds):.2f} s |")
-    text = "\n".join(
-        [*rows, "", f"{given.repeats} runs of each; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}."]
-    )
+    load = os.getloadavg()[0]
+    text = "\n".join([*rows, "", f"{given.repeats} runs of each; {os.cpu_count()} cores, load {load:.1f}."])
     print(text)
     if given.document:
         replace_between_markers(given.document, "startup", text)
@@ -47,8 +47,10 @@ def main() -> int:
 
 def processor_time(arguments: list[str]) -> float:
     """Of a new process, s."""
-    child = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, used = os.wait4(child.pid, 0)
+    with tempfile.TemporaryDirectory() as folder:  # the plan is written there
+        command, quiet = [sys.executable, *arguments], subprocess.DEVNULL
+        child = subprocess.Popen(command, cwd=folder, stdout=quiet, stderr=quiet)
+        _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
         raise RuntimeError(f"{' '.join(arguments)} ended with {child.returncode}")
