@@ -42,6 +42,7 @@ from takeapart.search.result import Budget
 MARKER = "cases"
 COLD_QUERIES = 30
 CASES = Path(__file__).resolve().parents[2] / "shared" / "cases"
+LEAST_TURN = 0.1  # rad, of a way
 SAME_PLACE = 1e-5  # m and unit vectors; the end of an exit is one of the rows of a path
 MOST_PAIRS = 4  # that overlap too deep, and are shown
 LINE = 300  # letters of a refusal that are shown
@@ -189,14 +190,23 @@ def _way_of(step: PlanStep, problem: AssemblyProblem) -> str:
 
 
 def _word(way: Exit) -> str:
+    turned = sum(_angle(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(way.poses))
     if way.kind == "pushes":
-        return f"by {len(way.poses) - 1} pushes"
+        pieces = _pushes(way.poses)
+        told = f"by {pieces} push{'es' if pieces > 1 else ''}"
+        return f"{told} and turns of {math.degrees(turned):.0f} degrees" if turned > LEAST_TURN else told
     if way.kind == "screw":
-        turned = sum(_angle(a[:3, :3].T @ b[:3, :3]) for a, b in pairwise(way.poses))
         return f"by {turned / (2 * math.pi):.1f} turns"
     assert way.direction is not None
     steep = round(math.degrees(math.asin(max(-1.0, min(1.0, float(way.direction[2]))))))
     return {90: "up", -90: "down", 0: "sideways"}.get(steep, f"at {steep} degrees")
+
+
+def _pushes(poses: Array) -> int:
+    """How many straight pieces a way has, without turns on the spot."""
+    shifts = np.diff(poses[:, :3, 3], axis=0)
+    turns = [_angle(a[:3, :3].T @ b[:3, :3]) > LEAST_TURN / 10 for a, b in pairwise(poses)]
+    return sum(not turn and float(np.linalg.norm(shift)) > 0 for shift, turn in zip(shifts, turns, strict=True))
 
 
 def _angle(R: Array) -> float:

@@ -427,10 +427,10 @@ def test_reasons_of_meshes_measure_no_ways_out_again(
     robot: RobotModel, workcell: Workcell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A plug in a fixed socket, whose cap is above it, on a table of 1.6 m, whose field would take seconds."""
-    plug = block("plug", [0.1, 0.2, 0.03], (0.02, 0.02, 0.06), fixed=False)
-    cap = block("cap", [0.1, 0.2, 0.071], (0.03, 0.03, 0.02), fixed=False)
+    plug = block("plug", [0.1, 0.2, 0.04], (0.02, 0.02, 0.08), fixed=False)
+    cap = block("cap", [0.1, 0.2, 0.091], (0.03, 0.03, 0.02), fixed=False)
     walls = [
-        block(f"wall{k}", [0.1 + 0.02 * x, 0.2 + 0.02 * y, 0.02], (0.0198, 0.0198, 0.04))
+        block(f"wall{k}", [0.1 + 0.02 * x, 0.2 + 0.02 * y, 0.005], (0.0198, 0.0198, 0.01))
         for k, (x, y) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)])
     ]
     bodies = [replace(each, shape=Mesh(each.shape.surface())) for each in (plug, cap, *walls)]
