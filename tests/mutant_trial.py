@@ -83,7 +83,7 @@ class Tree:
     """A copy of the project in which the changes are made."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder = folder.resolve()  # functions that are loaded know their file by its whole path
         listed = subprocess.run(
             ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True
         )
