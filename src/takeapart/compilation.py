@@ -116,7 +116,7 @@ class _KernelCache(_Cache):
     before it compiles.
     """
 
-    _impl_class = _MachineCode
+    _impl_class = _MachineCode  # type: ignore[assignment]
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # the memory of arrays, which machine code uses
