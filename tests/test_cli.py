@@ -690,6 +690,7 @@ def test_generate_with_the_removal_planner(folder: Path) -> None:
 
 def test_the_notice_of_compiling(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[str] = []
+    monkeypatch.setattr(cli_compile, "_is_noted", lambda orders: False)
     monkeypatch.setattr(cli_compile, "missing", lambda orders: {"kernel": None})
     monkeypatch.setattr(cli_compile, "_compile", lambda units, workcell, update: compiled.extend(units))
     result = plan("two-bars.json")
