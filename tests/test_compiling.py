@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from takeapart import compilation
 from takeapart.cli import compile as cli_compile
 from takeapart.cli.kernels import Unit, called_by, units
 from takeapart.compilation import LeanKernel, compiled, compiled_apart, compiled_lean, has_machine_code
@@ -86,6 +87,32 @@ def test_machine_code_that_was_cut_off_is_compiled_again(share: float) -> None:
     again: Any = compiled(six_times.py_func)  # type: ignore[attr-defined]
     assert again(1.5) == 9.0
     assert len(file.read_bytes()) > 0.9 * len(content)
+
+
+@pytest.fixture
+def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("TAKEAPART_CACHE", str(tmp_path))
+    compilation._group_folder.cache_clear()
+    yield
+    compilation._group_folder.cache_clear()
+
+
+@pytest.mark.usefixtures("empty_cache")
+def test_the_note_that_nothing_is_missing_holds_until_something_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = compilation._group_folder(compilation.GROUPS[0]) / "kernel.nbc"
+    kept.write_bytes(b"code")
+    assert not cli_compile._is_noted(True)
+    cli_compile._note_complete(True)
+    assert cli_compile._is_noted(True) and not cli_compile._is_noted(False)
+    kept.write_bytes(b"other code")
+    assert not cli_compile._is_noted(True)
+    cli_compile._note_complete(True)
+    kept.unlink()
+    assert not cli_compile._is_noted(True)
+    cli_compile._note_complete(True)
+    codegen = type(compilation.cpu_target.target_context.codegen())
+    monkeypatch.setattr(codegen, "magic_tuple", lambda self: ("another", "processor", ""))
+    assert not cli_compile._is_noted(True)
 
 
 class TwoParts:
