@@ -16,18 +16,19 @@ from typing import Any
 
 import click
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 from rich.console import Console
 
 import takeapart
+from command_line import enter, plan, run
 from example_documents import snapshot
-from small_assemblies import WORKCELL, deadlock, floating, three_bars, two_bars
+from small_assemblies import deadlock, floating, three_bars, two_bars
 from takeapart.cli import compile as cli_compile
 from takeapart.cli import generate as cli_generate
 from takeapart.cli.commands import main
 from takeapart.cli.output import progress_of
 from takeapart.formats import files
-from takeapart.formats.files import load_assembly, load_plan, save_assembly, save_plan
+from takeapart.formats.files import load_assembly, load_plan, save_plan
 from takeapart.generate import profiles
 from takeapart.model.assembly import Assembly
 from takeapart.removal.planner import RemovalPlanner
@@ -39,24 +40,8 @@ SOURCE = Path(takeapart.__file__).resolve().parents[1]
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the user stands: assemblies, a workcell, and the output of an earlier run."""
-    for assembly in (two_bars(), three_bars(), deadlock(), floating()):
-        save_assembly(assembly, tmp_path / f"{assembly.name}.json")
-    (tmp_path / "cell.toml").write_text(WORKCELL)
-    (tmp_path / "old.json").write_text("an earlier plan")
-    monkeypatch.setattr(cli_compile, "missing", lambda orders: {})  # whether the cache is warm or not: no notice
-    monkeypatch.chdir(tmp_path)
+    enter(tmp_path, (two_bars(), three_bars(), deadlock(), floating()), monkeypatch)
     return tmp_path
-
-
-def run(*arguments: str) -> Result:
-    result = CliRunner().invoke(main, arguments)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
-
-
-def plan(assembly: str, *arguments: str) -> Result:
-    return run("plan", assembly, "--workcell", "cell.toml", *arguments)
 
 
 def edited(path: Path, old: str, new: str) -> None:

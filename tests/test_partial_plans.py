@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from browser import opened, wait_until
+from command_line import enter, plan, run
 from example_documents import snapshot
 from small_assemblies import WORKCELL, deadlock, three_bars, two_bars
-from takeapart.cli import compile as cli_compile
-from takeapart.cli.commands import main
 from takeapart.formats import documents
 from takeapart.formats.files import load_assembly, load_plan, load_workcell, save_assembly
 from takeapart.model.assembly import Assembly
@@ -53,24 +52,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the user stands."""
-    for assembly in (heavy(), two_bars(), deadlock()):
-        save_assembly(assembly, tmp_path / f"{assembly.name}.json")
-    (tmp_path / "cell.toml").write_text(WORKCELL)
-    (tmp_path / "old.json").write_text("an earlier plan")
-    monkeypatch.setattr(cli_compile, "missing", lambda orders: {})  # no notice of compiling
-    monkeypatch.chdir(tmp_path)
+    enter(tmp_path, (heavy(), two_bars(), deadlock()), monkeypatch)
     return tmp_path
-
-
-def run(*arguments: str) -> Result:
-    result = CliRunner().invoke(main, arguments)
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
-
-
-def plan(assembly: str, *arguments: str) -> Result:
-    return run("plan", assembly, "--workcell", "cell.toml", *arguments)
 
 
 def words(result: Result) -> str:

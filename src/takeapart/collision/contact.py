@@ -129,8 +129,7 @@ class Contacts:
         """Least signed distance between two parts, m: of the points of each in the field of the other."""
         parts = self._assembly.parts
         T = pose_inverse(parts[b].T_world_part) @ parts[a].T_world_part
-        least = min(NEAR, _least_distance(self.body(b), self.body(a).cloud, T))
-        least = min(least, _least_distance(self.body(a), self.body(b).cloud, pose_inverse(T)))
+        least = self.distance_at(a, b, parts[a].T_world_part)
         if least >= 0.0:
             return least
         there = _deepest(self.body(b), self.body(a).points, T)
