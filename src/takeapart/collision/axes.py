@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from takeapart.model.geometry import Array, TriangleMesh
+from takeapart.model.geometry import Array, TriangleMesh, area_normals
 
 WINDOWS = np.sin(np.radians([3.0, 0.5, 0.1]))  # about an axis as guessed, then as found: what counts as its walls
 LEAST_SHARE = 0.05  # of a surface, of the walls along an axis
@@ -21,7 +21,7 @@ def drawn_axes(mesh: TriangleMesh, guesses: Sequence[Array]) -> tuple[Array, ...
     """Unit vectors (3,) along which a notable part of a surface is drawn, near guesses and the main axes of all its
     normals."""
     corners = mesh.corners
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crosses = area_normals(corners)
     areas = np.linalg.norm(crosses, axis=1)
     real = areas > 1e-16
     normals, areas = crosses[real] / areas[real, None], areas[real]

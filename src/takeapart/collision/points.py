@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from takeapart.collision.fields import MOST_CORNERS, Field, row_numbers, signed_distances
 from takeapart.collision.triangles import curve_order
-from takeapart.model.geometry import Array, TriangleMesh
+from takeapart.model.geometry import Array, TriangleMesh, area_normals
 
 IN_LEAF = 8
 FLAT = math.radians(0.1)  # between facets that are one
@@ -61,7 +61,7 @@ def _points(mesh: TriangleMesh, spacing: float) -> tuple[Array, Array, Array]:
     """Points (N, 3), m, two normals (N, 2, 3) there, and how far others are from the nearer of them (N,), rad."""
     vertices, triangles = _merged(mesh)
     corners = vertices[triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crosses = area_normals(corners)
     areas = np.linalg.norm(crosses, axis=1)
     real = areas > 1e-16
     triangles, corners, normals = triangles[real], corners[real], crosses[real] / areas[real, None]
@@ -115,7 +115,7 @@ def _pairs(normals: Array, group: Indices, groups: int) -> tuple[Array, Array]:
 def facet_normals(mesh: TriangleMesh) -> tuple[Array, ...]:
     """Normals (3,) of the `MOST_FACETS` largest groups of parallel facets, the largest first."""
     corners = mesh.corners
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crosses = area_normals(corners)
     areas = np.linalg.norm(crosses, axis=1)
     normals = crosses[areas > 1e-12] / areas[areas > 1e-12, None]
     areas = areas[areas > 1e-12]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from takeapart.model.geometry import Array, OrientedBox, TriangleMesh
+from takeapart.model.geometry import Array, OrientedBox, TriangleMesh, area_normals
 
 MOST_DIRECTIONS = 24  # of normals that are tried as a box's axis
 SAME_DIRECTION = 0.9999  # cosine; normals closer than 0.8 degrees are one
@@ -25,7 +25,7 @@ def tight_box(mesh: TriangleMesh) -> OrientedBox:
     Its axes are named so that each is as near as possible to the part's axis of the same name.
     """
     corners = mesh.corners
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = area_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     used = areas > 1e-9 * max(float(areas.max()), 1e-300)
     normals, areas = normals[used] / areas[used, None], areas[used]
@@ -51,7 +51,7 @@ def tight_box(mesh: TriangleMesh) -> OrientedBox:
 
 def flat_directions(mesh: TriangleMesh) -> tuple[Array, Array]:
     """Normals (D, 3) of the largest flat faces, either way, and their areas (D,), m^2, the largest first."""
-    normals = np.cross(mesh.corners[:, 1] - mesh.corners[:, 0], mesh.corners[:, 2] - mesh.corners[:, 0])
+    normals = area_normals(mesh.corners)
     doubled = np.linalg.norm(normals, axis=1)
     used = doubled > 0
     normals, areas = _merged(normals[used] / doubled[used, None], doubled[used] / 2)
@@ -68,7 +68,7 @@ def _hull(points: Array) -> tuple[Array, Array]:
     except QhullError:
         return points, np.empty((0, 3))
     corners = hull.points[hull.simplices]
-    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    doubled = np.linalg.norm(area_normals(corners), axis=1)
     largest = np.argsort(-doubled, kind="stable")[: 4 * MOST_DIRECTIONS]
     return hull.points[hull.vertices], hull.equations[largest, :3]
 

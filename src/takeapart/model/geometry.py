@@ -112,6 +112,11 @@ class TriangleMesh:
         return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
 
+def area_normals(corners: Array) -> Array:
+    """(T, 3) m^2: of triangles (T, 3, 3), m, the outward normals, twice the area long."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 BOX_TRIANGLES = np.array(  # of the corners of `OrientedBox.corners`
     [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from takeapart.model.geometry import Array, OrientedBox, TriangleMesh
+from takeapart.model.geometry import Array, OrientedBox, TriangleMesh, area_normals
 
 Cells = NDArray[np.bool_]
 Integers = NDArray[np.int64]
@@ -60,7 +60,7 @@ def voxel_grid(mesh: TriangleMesh, box: OrientedBox, cell: float) -> VoxelGrid:
     R, origin = box.T_frame_box[:3, :3], box.T_frame_box[:3, 3]
     corners = ((mesh.vertices - origin) @ R)[mesh.triangles]  # (T, 3, 3)
     rounding = ROUNDING * float(2 * box.half_extents.max())
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # twice the area long
+    normals = area_normals(corners)  # twice the area long
     x, y, z = (_planes(corners, normals, box.half_extents, axis, cell, rounding) for axis in range(3))
     planes = (x, y, z)
     surface = _touched(corners, normals, planes, rounding)

@@ -268,7 +268,7 @@ class Exits:
     def _along(self, stand: Stand, direction: Array, sweeps: Sweeps | None = None, k: int = 0) -> Exit:
         """Straight out from where a part stands, along the direction k of what was swept."""
         hits = (sweeps or self._sweep(stand, direction)).hits[k]
-        others = among(range(self._around.bodies), self._around.bodies)
+        others = np.ones(self._around.bodies, bool)
         others[stand.part] = False
         end = ending(stand.cover, self._covers, others, direction, hits, self._travel)
         poses = np.repeat(stand.T[None], 2, axis=0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from takeapart.model.assembly import Part
 from takeapart.model.bounding import flat_directions
 from takeapart.model.description import RobotDescription
-from takeapart.model.geometry import Array, OrientedBox, Shape, TriangleMesh, pose_inverse
+from takeapart.model.geometry import Array, OrientedBox, Shape, TriangleMesh, area_normals, pose_inverse
 from takeapart.removal.candidates import GraspCandidate
 from takeapart.removal.contact_maps import (
     ContactMap,
@@ -29,6 +29,7 @@ from takeapart.removal.contact_maps import (
     pinches,
     touched_areas,
 )
+from takeapart.removal.spreading import spread_out
 from takeapart.robot.arrays import Integers
 from takeapart.robot.gripper import gripper_boxes
 
@@ -38,9 +39,6 @@ MOST_OVERHANG = 0.012  # m; the tool's point stands no farther outside of the pa
 PALM_SLACK = 0.001  # m, that the palm keeps off the part at least
 TIP_MARGIN = 0.002  # m, by which the fingers' tips end before the part does, where they reach that far
 TURN = math.pi / 6  # between approach directions around a closing direction
-MOST_POSES = 240  # of a part; each in both finger orders
-# From which steepness downwards: how many poses of a kind are taken at a time, and of all kinds while others are left.
-TURNS = ((0.7, 4, 120), (-0.3, 2, 88), (-math.inf, 1, 32))
 SHALLOWER = (0.006, 0.012, 0.018, 0.026, 0.036)  # m, by which the fingers also reach less deep
 # Contacts that are looked at along an approach direction: of each of so many widths, by which they differ, m, the
 # nearest to the centre of mass, and others spread over the part.
@@ -51,7 +49,6 @@ PIXELS = 100  # along the longest side of a map
 FINEST_PIXEL, COARSEST_PIXEL = 0.0004, 0.0015  # m
 WIDTH_STEP = 1e-4  # m; the hand is looked at once for each opening
 NEARBY = 3.0  # of the pads' half width; grasps as wide as that are looked for again only further away
-SAME_PLACE, SAME_TURN = 0.006, math.cos(math.radians(20))
 LARGE_FLAT, SMALL_FLAT = 0.05, 0.01  # of the surface; flat faces that suggest a closing direction
 NEAR, ROUND = math.cos(math.radians(5)), math.cos(math.radians(14))  # of closing directions that are alike
 SLOPE = math.cos(math.radians(10))  # surfaces steeper to the closing direction do not suggest it
@@ -136,7 +133,7 @@ def _grasps(
         near = np.linalg.norm(points[:, None] - good[:, :2], axis=2) <= NEARBY * half_width
         alike = np.abs((pairs[:, 3] - pairs[:, 2])[:, None] - good[:, 2]) <= GIVES_WAY
         held.add(view, axes, pairs[~(near & alike).any(axis=1)])
-    candidates = _spread_out(*held.all())
+    candidates = spread_out(*held.all())
     return MeshGrasps(candidates, narrowest, held.contact, held.blocked and not candidates)
 
 
@@ -229,7 +226,7 @@ def _axes_across(d: Array, down: Array, R: Array) -> Array:
 
 def _normals(surface: TriangleMesh) -> tuple[Array, Array]:
     """Outward unit normals (T, 3) and areas (T,), m^2."""
-    normals = np.cross(*np.moveaxis(surface.corners[:, 1:] - surface.corners[:, :1], 1, 0))
+    normals = area_normals(surface.corners)
     doubled = np.linalg.norm(normals, axis=1)
     return normals / np.maximum(doubled, 1e-300)[:, None], doubled / 2
 
@@ -358,49 +355,3 @@ def _overhang(box: OrientedBox, points: Array) -> Array:
     """By how much points (K, 3) stand out of a box, m (K,): along the axis along which it is most."""
     local = (points - box.T_frame_box[:3, 3]) @ box.T_frame_box[:3, :3]
     return np.asarray((np.abs(local) - box.half_extents).max(axis=1))
-
-
-def _spread_out(poses: Array, widths: Array, costs: Array, steep: Array) -> tuple[GraspCandidate, ...]:
-    """The best of poses (K, 4, 4), none much like a better one, and both finger orders of each.
-
-    Poses with about the same approach and closing directions are one kind. Kinds take turns, so that whatever stands
-    around the part leaves some; those from above give more each turn.
-    """
-    order = np.lexsort((*np.round(poses[:, :3, 3], 5).T, np.round(costs, 6)))
-    poses, widths, steep = poses[order], widths[order], steep[order]
-    kinds: list[list[int]] = []
-    left = np.ones(len(poses), dtype=np.bool_)
-    while left.any():
-        k = int(np.argmax(left))
-        same = left & (poses[:, :3, 2] @ poses[k, :3, 2] > SAME_TURN)
-        same &= np.abs(poses[:, :3, 1] @ poses[k, :3, 1]) > SAME_TURN
-        left &= ~same
-        members = np.nonzero(same)[0]
-        apart: list[int] = []
-        while len(members) and len(apart) < MOST_POSES:
-            apart.append(int(members[0]))
-            away = np.linalg.norm(poses[members, :3, 3] - poses[members[0], :3, 3], axis=1)
-            members = members[away >= SAME_PLACE]
-        kinds.append(apart)
-    taken = _in_turns(kinds, [next(k for k, turn in enumerate(TURNS) if steep[kind[0]] >= turn[0]) for kind in kinds])
-    candidates = []
-    for T, width in zip(poses[taken], widths[taken].tolist(), strict=True):
-        exchanged = T.copy()
-        exchanged[:3, :2] *= -1
-        candidates += [GraspCandidate(T.copy(), width), GraspCandidate(exchanged, width)]
-    return tuple(candidates)
-
-
-def _in_turns(kinds: list[list[int]], steepness: list[int]) -> list[int]:
-    """Up to `MOST_POSES` members of kinds, ascending; from each kind as many at a time as its row of `TURNS` says."""
-    taken: list[int] = []
-    room = [most for _, _, most in TURNS]
-    while any(kinds) and len(taken) < MOST_POSES:
-        if not any(kind and room[row] for kind, row in zip(kinds, steepness, strict=True)):
-            room = [MOST_POSES] * len(TURNS)
-        for kind, row in zip(kinds, steepness, strict=True):
-            count = min(TURNS[row][1], room[row], len(kind), MOST_POSES - len(taken))
-            taken += kind[:count]
-            del kind[:count]
-            room[row] -= count
-    return sorted(taken)

@@ -54,10 +54,10 @@ def figures_of(way: _Way) -> Figures | None:
     """The figures of an open way; None where it is none."""
     if way.blockers is None:
         return None
-    shift, length = way.poses[-1, :3, 3] - way.poses[0, :3, 3], _length(way)
+    shift = way.poses[-1, :3, 3] - way.poses[0, :3, 3]
     x, y, z = (shift / max(float(np.linalg.norm(shift)), 1e-12)).tolist()
-    rise = float(shift[2]) / length
-    return Figures(way.blockers, rise < -0.05, rise, length, (x, y, z), way.leans)
+    rise = _rise(way)
+    return Figures(way.blockers, rise < -0.05, rise, _length(way), (x, y, z), way.leans)
 
 
 def is_kept(way: Figures, kept: Sequence[Figures]) -> bool:

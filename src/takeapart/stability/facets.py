@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from takeapart.model.assembly import Assembly
-from takeapart.model.geometry import BOX_TRIANGLES, Array
+from takeapart.model.geometry import BOX_TRIANGLES, Array, area_normals
 
 Integers = NDArray[np.int64]
 
@@ -73,7 +73,7 @@ class Facets:
 
 def facets_of(corners: Array) -> Facets:
     """Facets of triangles (T, 3, 3), m; corners at one place are joined, triangles without area left out."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = area_normals(corners)
     area = np.linalg.norm(cross, axis=1)
     corners, cross, area = (values[area > 2 * SMALLEST_AREA] for values in (corners, cross, area))
     points = corners.reshape(-1, 3)
